@@ -198,7 +198,7 @@ FAULTS = {
     "yaw from north": Fault(_with(yaw=lambda s: 0.5 * math.pi - s.yaw), named=("north",)),
     "speed in km/h": Fault(_with(speed=lambda s: 3.6 * s.speed), named=("km/h",)),
     "time in ms": Fault(clock=1e3, named=("milliseconds",)),
-    "yaw rate in deg/s": Fault(_with(yaw_rate=lambda s: DEGREES * s.yaw_rate), named=("yaw_rate is in degrees",)),
+    "yaw rate in deg/s": Fault(_with(yaw_rate=lambda s: DEGREES * s.yaw_rate), named=("yaw rate is in degrees",)),
     "command taken as degrees": Fault(command=1.0 / DEGREES, named=("command",)),
     "command sent in degrees": Fault(command=DEGREES, named=("command",)),
     "rear axle": Fault(ahead=-1.0, named=("rear axle",)),

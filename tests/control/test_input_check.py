@@ -15,11 +15,11 @@ from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.cli import main
 from adaptrack.control.controllers import MPC, BeliefState, Learning, Stanley
-from adaptrack.control.input_check import SENTENCES, InputCheck
+from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.estimators.learning import BELIEF_NAMES
-from adaptrack.core.input_check.record import ABOUT, MISTAKES
+from adaptrack.core.input_check.hypotheses import ABOUT, COMPARISON_TABLE, MISTAKE_TABLE, MISTAKES
 from adaptrack.core.tracker.signals import TrackerSample
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading, read_columns
@@ -64,8 +64,8 @@ FAULTS = {
     "yaw in degrees": ({"change": replaced(3, lambda yaw: yaw * DEGREES)}, "yaw is in degrees"),
     "yaw from north": ({"change": replaced(3, lambda yaw: 0.5 * math.pi - yaw)}, "clockwise from north"),
     "yaw of a mirrored frame": ({"change": replaced(3, lambda yaw: -yaw)}, "y is mirrored"),
-    "speed in km/h": ({"change": replaced(4, lambda v: 3.6 * v)}, "it is in km/h"),
-    "yaw rate in deg/s": ({"change": replaced(5, lambda r: r * DEGREES)}, "yaw_rate is in degrees"),
+    "speed in km/h": ({"change": replaced(4, lambda v: 3.6 * v)}, "the speed is in km/h"),
+    "yaw rate in deg/s": ({"change": replaced(5, lambda r: r * DEGREES)}, "the yaw rate is in degrees"),
     "yaw rate's sign": ({"change": replaced(5, lambda r: -r)}, "yaw_rate: over half a second"),
     "time in ms": ({"clock": 1e3}, "the time is in milliseconds"),
 }
@@ -119,11 +119,11 @@ def test_a_specified_delay_that_driving_contradicts_is_reported_once_and_a_learn
     mpc = MPC(CAR, profile="road", belief=belief, computation=0.05, learning=learning)
     with caplog.at_level(logging.WARNING, logger="adaptrack"):
         run = drive(DelayedCommands(Tracker(mpc, BEND), calls), BEND, 20.0, car=on_road(BEND, s=2.0, speed=10.0))
-    records = [
-        record.message for record in caplog.records if "later than the specified steering delay" in record.message
-    ]
+    records = [record.message for record in caplog.records if "the specified steering delay" in record.message]
     assert len(records) == is_reported
-    assert all("of 0.20 s explains: learn the delay, MPC(..., learning=Learning())" in message for message in records)
+    assert all(
+        "of 0.20 s is too short; learn the delay, MPC(..., learning=Learning())" in message for message in records
+    )
     assert len(run.calls[-1][1].suspect) == is_reported
 
 
@@ -164,7 +164,7 @@ def test_a_record_is_a_log_whose_inputs_agree(recorded):
     assert columns.values["time"].size == 300
     found = check_loop(columns, CAR)
     assert found.contradictions == ()
-    assert sum(finding.seconds > 5.0 for finding in found.findings) == 5
+    assert sum(row.seconds > 5.0 for row in found.comparisons if "whole log" not in row.compared) == 5
 
 
 @pytest.mark.parametrize("late", [0.2, -0.2])
@@ -173,7 +173,7 @@ def test_clocks_that_are_apart_are_told_where_a_third_signal_shows_it(recorded, 
     time, rate = columns.values["time"], columns.values["yaw_rate"]
     said = check_loop(with_columns(columns, yaw_rate=np.interp(time - late, time, rate)), CAR).contradictions
     assert len(said) == 1
-    assert "yaw and yaw_rate are of clocks that are some 0.2 s apart" in said[0]
+    assert "yaw and yaw_rate: their clocks differ by some 0.2 s" in said[0]
 
 
 @pytest.mark.parametrize(("ahead", "axle"), [(-CAR.lr, "rear axle"), (CAR.lf, "front axle")])
@@ -251,9 +251,9 @@ def test_noise_of_the_position_is_no_drift_for_a_check_that_is_told_of_it(noise,
     ("signal", "words"),
     [
         (lambda change, gravity: 1.05 * change + 0.15, ""),
-        (lambda change, gravity: -change, "its sign is wrong"),
-        (lambda change, gravity: change / 9.81, "it is in g"),
-        (lambda change, gravity: change + gravity, "it contains gravity"),
+        (lambda change, gravity: -change, "the sign of the longitudinal acceleration is inverted"),
+        (lambda change, gravity: change / 9.81, "the longitudinal acceleration is in g"),
+        (lambda change, gravity: change + gravity, "contains gravity"),
     ],
     ids=["honest", "sign", "g", "gravity"],
 )
@@ -447,7 +447,25 @@ def test_a_check_whose_numbers_are_copied_goes_on_as_the_one_they_are_from():
     assert "km/h" in own.suspect[0]
 
 
-def test_each_mistake_has_a_sentence_and_one_subject():
-    assert len(SENTENCES) == len(MISTAKES)
+def test_each_mistake_has_a_sentence_one_subject_and_a_hypothesis_or_a_rule_of_its_own():
     assert sum(ABOUT) == 2 ** len(MISTAKES) - 1
-    assert all(sentence.format(1.0, 2.0, 3.0) for sentence in SENTENCES)
+    for mistake in MISTAKE_TABLE:
+        for for_log in (False, True):
+            assert mistake.says(mistake.evidence, for_log).format(1.0, 2.0, 3.0, steered="command").endswith(".")
+    labels = {label - 1 for comparison in COMPARISON_TABLE for label, *_ in comparison.hypotheses}
+    by_rules = {name for bit, name in enumerate(MISTAKES._fields) if bit not in labels}
+    assert by_rules == {
+        "time_in_milliseconds", "time_in_microseconds", "time_in_nanoseconds", "speed_of_no_car", "yaw_from_north",
+        "yaw_from_north_in_degrees", "yaw_quarter_too_large", "yaw_quarter_too_small", "yaw_half_turn_off",
+        "frames_differ", "yaw_rate_taken_for_degrees", "position_drifts", "yaw_drifts", "steering_late",
+        "longitudinal_acceleration_with_gravity",
+    }  # fmt: skip
+
+
+def test_a_mistake_that_windows_and_the_whole_log_show_is_reported_once_with_its_option(recorded):
+    _, columns = recorded
+    values = columns.values
+    result = check_loop(with_columns(columns, speed=3.6 * values["speed"]), CAR)
+    assert [sentence for sentence in result.contradictions if "km/h" in sentence] == [result.contradictions[0]]
+    assert "the speed is in km/h; --units speed=km/h." in result.contradictions[0]
+    assert sum(row.verdict == "contradictory" for row in result.comparisons) >= 2

@@ -18,11 +18,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
 from adaptrack.identification import CarRanges, random_car
-from adaptrack.identification.estimates import CORRECTIONS, corrected
+from adaptrack.identification.estimates import CORRECTIONS, corrected, estimates_of
 from adaptrack.identification.hypotheses import Evidence, guessed_ratio, refuse_contradictions
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import Log, log_of
-from adaptrack.identification.log_fit import estimates_of, fit_log
+from adaptrack.identification.log_fit import fit_log
 from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns

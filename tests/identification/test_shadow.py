@@ -13,8 +13,8 @@ import adaptrack as at
 from adaptrack.base.statistics import block_rms
 from adaptrack.cli.app import app
 from adaptrack.core.estimators.learning import BELIEF_NAMES, memory_of
-from adaptrack.identification.observation import ReadLog
-from adaptrack.identification.shadow import Shadow
+from adaptrack.identification.reading import read_columns
+from adaptrack.identification.shadow import ReadLog, Shadow
 from adaptrack.results.console import print_result
 from adaptrack.results.shadow import shadow_result
 
@@ -179,7 +179,7 @@ def test_the_belief_is_carried_from_log_to_log(drive):
 
 def test_samples_between_instants_lie_on_the_line_between_neighbours(drive):
     log = drive[0] | {"time": drive[0]["time"] + 0.02}
-    read = ReadLog.of(log, CAR, at.Reading())
+    read = ReadLog.of(read_columns(log, at.Reading()), CAR)
     samples = next(iter(read.segments(0.05, None)))
     assert np.array_equal(samples.command, log["command"])
     fine = next(iter(read.segments(0.025, None)))
@@ -231,5 +231,5 @@ def test_the_command_writes_a_page_and_json(saved, tmp_path):
 def test_a_signal_that_cannot_be_left_out_is_refused(drive):
     with pytest.raises(at.InvalidInput, match="must be of acceleration"):
         at.shadow(drive[0], CAR, without=["speed"])
-    with pytest.raises(at.InvalidInput, match="one log at least"):
+    with pytest.raises(at.InvalidInput, match="one at least"):
         at.shadow([], CAR)

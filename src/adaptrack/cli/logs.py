@@ -42,24 +42,20 @@ class ColumnOptions:
         columns = dict(_pair("--columns", part) for part in parts(self.columns))
         units = dict(("", part) if "=" not in part else _pair("--units", part) for part in parts(self.units))
         clocks = dict(_pair("--clock", part) for part in parts(self.clock))
-        late = {name: _seconds(name, part) for name, part in (_pair("--late", part) for part in parts(self.late))}
-        return at.Reading(columns, units, tuple(parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
+        lags = dict(_pair("--late", part) for part in parts(self.late))
+        late = {name: _number(f"--late {name}=", text, "a number (s)") for name, text in lags.items()}
+        ratio: float | Literal["fit"] | None = None
+        if self.steering_ratio is not None:
+            is_open = self.steering_ratio == "fit"
+            ratio = "fit" if is_open else _number("--steering-ratio ", self.steering_ratio, "a number, or fit")
+        return at.Reading(columns, units, tuple(parts(self.flip)), ratio, clocks, late)
 
 
-def _ratio(text: str | None) -> float | Literal["fit"] | None:
-    if text is None or text == "fit":
-        return text  # type: ignore[return-value]  # "fit"
+def _number(option: str, text: str, expected: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InvalidInput(f"--steering-ratio {text}: must be a number, or fit.") from None
-
-
-def _seconds(name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InvalidInput(f"--late {name}={text}: must be a number (s).") from None
+        raise InvalidInput(f"{option}{text}: must be {expected}.") from None
 
 
 def parts(texts: Sequence[str] | None) -> list[str]:
@@ -266,8 +262,10 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     from adaptrack.identification.reading import read_columns
     from adaptrack.results.identify import check_result
 
-    columns = read_columns(arguments.log, arguments.log_columns.reading)
-    check = check_log(columns, None if arguments.vehicle is None else at.load_vehicle(arguments.vehicle))
+    vehicle = None if arguments.vehicle is None else at.load_vehicle(arguments.vehicle)
+    with show.progress("check-loop"):
+        columns = read_columns(arguments.log, arguments.log_columns.reading)
+        check = check_log(columns, vehicle)
     if not check.contradictions and not check.compared:
         reason = check.limit or "no two signals are related."
         raise InvalidInput(

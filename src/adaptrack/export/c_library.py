@@ -21,7 +21,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.core import library
-from adaptrack.core.input_check.record import MISTAKES
+from adaptrack.core.input_check.hypotheses import MISTAKES
 from adaptrack.core.kernel import Field, fields_of
 from adaptrack.core.roads import path, road
 from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, speed_path_words

@@ -24,10 +24,10 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.estimates import Moments
-from adaptrack.identification.hypotheses import INF, Case, explain
+from adaptrack.identification.hypotheses import INF, Case, find_cases
 from adaptrack.identification.identified_car import HARDLY, Estimate, Validation, scale_correlations
+from adaptrack.identification.likelihood import Fit, Likelihood
 from adaptrack.identification.log import Log, window_mean
-from adaptrack.identification.log_fit import Fit
 from adaptrack.identification.quantities import INDEX, degrees_per_g
 
 Array = NDArray[np.float64]
@@ -80,6 +80,28 @@ IMPLAUSIBLE = (
          "standard deviations from {believed}"),
 )  # fmt: skip
 """Of an estimate: the first whose number lies in its range counts."""
+RATIO_CASES = (
+    Case("missing", 0.0, INF, f"{UNKNOWN_RATIO}: {{seconds:.0f}} s of bends, {MIN_BEND_TIME:g} s are needed; drive "
+         "slow bends, or give --steering-ratio"),
+    Case("spread_left", HARDLY, INF, f"{UNKNOWN_RATIO}: drive slow bends, or give --steering-ratio"),
+    Case("factor", RATIO_LOOSE, INF, "steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) "
+         "tell it"),
+)  # fmt: skip
+"""Of a ratio that is to be found: the first whose number lies in its range counts."""
+_UNCONFIRMED = (
+    f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is known "
+    "with their scale only: drive bends at two speeds"
+)
+SCALE_CASES = (
+    Case("spread", MAX_GAIN_SIGMA, INF, _UNCONFIRMED),
+    Case("missing", 0.0, INF, _UNCONFIRMED),
+    Case("excess", 0.0, INF, "the steering ratio is wrong: the road wheels turn {gain:.2f} [{gain_low:.2f}, "
+         "{gain_high:.2f}] times as far as the log says: {option}, or fit"),
+    Case("differs", 0.0, INF, "the logged steering angle is {value:.3g} [{low:.3g}, {high:.3g}] times that of yaw "
+         "rate, speed and wheelbase (correlations: {correlations}): read logs with {option}, and use this ratio "
+         "between car and controller"),
+)  # fmt: skip
+"""Of the scale of the angles, where the ratio is specified: the same."""
 FINDINGS = (
     Case("stiffness", LOOSE_FACTOR, INF, "{why}: stiffness known within a factor {stiffness:.2g}"),
     Case("balance", -INF, 0.5, "what the axles have in common is open, their balance is not: understeer gradient "
@@ -111,7 +133,7 @@ def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> li
         deviation = math.nan if name.startswith(("noise", "gyro")) else abs(estimate.shift)
         reached = estimate.reach if name in MODEL_ERRORS else math.nan
         numbers = vars(estimate) | {"deviation": deviation, "reached": reached, "believed": believed}
-        messages += islice(explain(IMPLAUSIBLE, numbers), 1)
+        messages += [case.words for case in islice(find_cases(IMPLAUSIBLE, numbers), 1)]
     return messages + _unphysical_quantities(estimates, car)
 
 
@@ -188,7 +210,7 @@ def _bend_time(log: Log) -> float:
     return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
 
 
-def _gain(fit: Fit) -> tuple[float, float]:
+def _gain(fit: Fit[Likelihood]) -> tuple[float, float]:
     """Angle of the road wheels over that in the log, by the log alone, and the standard deviation of its logarithm."""
     place, prior = INDEX["gain"], float(fit.likelihood.spread[INDEX["gain"]])
     if place not in fit.likelihood.free:
@@ -200,71 +222,38 @@ def _gain(fit: Fit) -> tuple[float, float]:
 
 
 def check_ratio(
-    fit: Fit, estimates: dict[str, Estimate], covariance: Array
+    fit: Fit[Likelihood], estimates: dict[str, Estimate], covariance: Array
 ) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
     """The estimates that may be reported, what contradicts the steering ratio, and findings.
 
     covariance: of the estimates in their order
     """
-    log = fit.likelihood.log
-    if not log.ratio_unknown:
-        if "angle_scale" not in estimates:
-            return estimates, [], ()
-        correlations = scale_correlations(estimates, covariance)
-        against, finding = _check_scale(fit, estimates["angle_scale"], correlations)
-        return estimates, [against] if against else [], (finding,) if finding else ()
-    is_known, message = _check_fitted_ratio(log, estimates["ratio"])
-    if is_known or fit.likelihood.spread[INDEX["gain"]] != RATIO_SPREAD[0]:
-        return estimates, [], (message,) if message else ()
-    return {name: estimate for name, estimate in estimates.items() if name != "ratio"}, [message], ()
-
-
-def _check_scale(fit: Fit, scale: Estimate, correlations: Mapping[str, float]) -> tuple[str, str]:
-    """Return a contradiction of the specified ratio and a finding on the scale of its angles; either may be empty.
-
-    correlations: of the scale with other estimates
-    """
-    log, (gain, spread) = fit.likelihood.log, _gain(fit)
-    ratio = f"--steering-ratio {log.ratio * scale.value:.3g}"
-    if spread > MAX_GAIN_SIGMA or _bend_time(log) < MIN_BEND_TIME:
-        return "", (
-            f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is "
-            "known with their scale only: drive bends at two speeds"
-        )
-    if abs(portable.log(gain)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * spread):
-        low, high = (gain * portable.exp(side * 1.645 * spread) for side in (-1.0, 1.0))
-        return (
-            f"the steering ratio is wrong: the road wheels turn {gain:.2f} [{low:.2f}, {high:.2f}] times as far "
-            f"as the log says: {ratio}, or fit"
-        ), ""
-    if scale.low <= 1.0 <= scale.high:
-        return "", ""
-    related = ", ".join(
-        f"{name} {value:.2f}"
-        for name, value in correlations.items()
-        if name == "understeer_gradient" or abs(value) >= LEAST_CORRELATION
-    )
-    return "", (
-        f"the logged steering angle is {scale.value:.3g} [{scale.low:.3g}, {scale.high:.3g}] times that of yaw rate, "
-        f"speed and wheelbase (correlations: {related}): read logs with {ratio}, and use this ratio "
-        "between car and controller"
-    )
-
-
-def _check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
-    """Return whether a fitted ratio is known, and a message."""
-    seconds = _bend_time(log)
-    if seconds < MIN_BEND_TIME:
-        return False, (
-            f"{UNKNOWN_RATIO}: {seconds:.0f} s of bends, {MIN_BEND_TIME:g} s are needed; drive slow bends, or give "
-            "--steering-ratio"
-        )
-    if ratio.spread_left > HARDLY:
-        return False, f"{UNKNOWN_RATIO}: drive slow bends, or give --steering-ratio"
-    factor = ratio.high / ratio.value
-    if factor > RATIO_LOOSE:
-        return True, f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"
-    return True, ""
+    log, seconds, (gain, spread) = fit.likelihood.log, _bend_time(fit.likelihood.log), _gain(fit)
+    name, cases = ("ratio", RATIO_CASES) if log.ratio_unknown else ("angle_scale", SCALE_CASES)
+    if name not in estimates:
+        return estimates, [], ()
+    estimate, end = estimates[name], portable.exp(1.645 * min(spread, 1.0))
+    related = [
+        f"{other} {value:.2f}"
+        for other, value in scale_correlations(estimates, covariance).items()
+        if other == "understeer_gradient" or abs(value) >= LEAST_CORRELATION
+    ]
+    numbers = vars(estimate) | {
+        "seconds": seconds, "missing": MIN_BEND_TIME - seconds, "factor": estimate.high / estimate.value,
+        "spread": spread, "excess": abs(portable.log(gain)) - max(RATIO_ERROR, RATIO_ERROR_SIGMAS * spread),
+        "gain": gain, "gain_low": gain / end, "gain_high": gain * end,
+        "differs": not estimate.low <= 1.0 <= estimate.high, "correlations": ", ".join(related),
+        "option": f"--steering-ratio {log.ratio * estimate.value:.3g}",
+    }  # fmt: skip
+    case = next(find_cases(cases, numbers), None)
+    if case is None:
+        return estimates, [], ()
+    if case.number == "excess":
+        return estimates, [case.words], ()
+    is_open = log.ratio_unknown and case.number != "factor" and fit.likelihood.spread[INDEX["gain"]] == RATIO_SPREAD[0]
+    if not is_open:
+        return estimates, [], (case.words,)
+    return {other: estimate for other, estimate in estimates.items() if other != name}, [case.words], ()
 
 
 # -- what limits estimates --------------------------------------------------------------------------------------------
@@ -292,4 +281,4 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
     }  # fmt: skip
     if log.commanded:
         numbers |= {"lag": 0.5 * (estimates["lag"].high - estimates["lag"].low), "delay": estimates["delay"].value}
-    return tuple(explain(FINDINGS, numbers))
+    return tuple(case.words for case in find_cases(FINDINGS, numbers))

@@ -22,14 +22,14 @@ from adaptrack.core.identification import drive as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.identification.estimates import ReportedRow, delay_rows, estimates_at, quantity_row
+from adaptrack.identification.estimates import estimates_of
 from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
 from adaptrack.identification.identified_car import DriveIdentification
-from adaptrack.identification.likelihood import NEARLY, InnovationLikelihood, Scored
-from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising
+from adaptrack.identification.likelihood import NEARLY, Fit, InnovationLikelihood, Scored
+from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising, require_columns
 from adaptrack.identification.outliers import find_outliers, noise_of
-from adaptrack.identification.quantities import Prior, Quantity
-from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
+from adaptrack.identification.quantities import Prior, Quantity, Reported, report_delay, report_quantity
+from adaptrack.identification.reading import Columns, Reading, Source, read_logs
 
 Array = NDArray[np.float64]
 
@@ -95,14 +95,14 @@ class DriveLikelihood(InnovationLikelihood):
         return self._answer[kernel.DRIVE_ANSWER.innovation].copy(), self._answer[kernel.DRIVE_ANSWER.variance].copy()
 
     @property
-    def reported(self) -> list[ReportedRow]:
-        """Rows of the free quantities that are reported."""
+    def reported(self) -> list[Reported]:
+        """Free quantities that are reported."""
         free = [self.quantities[place].name for place in self.free]
         late, rows = "from a request until it begins to act on the logged speed", []
         for name in [name for name in ACTUATORS if f"{name}_gain" in free]:
-            rows += delay_rows(self.quantities, f"{name}_", "time constant", late)
-            rows.append(quantity_row(self.quantities, f"{name}_gain"))
-        return rows + [quantity_row(self.quantities, name) for name in ("drag", "rolling") if name in free]
+            rows += report_delay(self.quantities, f"{name}_", "time constant", late)
+            rows.append(report_quantity(self.quantities, f"{name}_gain"))
+        return rows + [report_quantity(self.quantities, name) for name in ("drag", "rolling") if name in free]
 
 
 def identify_drive(
@@ -132,8 +132,7 @@ def identify_drive(
         When a column is missing, the log is too slow or too short, neither drive nor brakes act in it, the speed
         contradicts the command, or a pedal is hardly used or leaves 0 to 1.
     """
-    columns = [read_columns(source, reading or Reading()) for source in list_sources(log)]
-    return drive_of_columns(columns, car if isinstance(car, Vehicle) else load_vehicle(car))
+    return drive_of_columns(read_logs(log, reading), car if isinstance(car, Vehicle) else load_vehicle(car))
 
 
 def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:
@@ -155,7 +154,7 @@ def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentificati
     beliefs, findings = _beliefs(rows, car, command)
     likelihood = DriveLikelihood(rows, beliefs)
     z, scored = _fit_from_starts(likelihood)
-    estimates, _ = estimates_at(likelihood, likelihood.reported, z, likelihood.covariance(scored))
+    estimates, _ = estimates_of(Fit(likelihood, z, likelihood.covariance(scored)))
     return DriveIdentification(estimates, tuple(findings), car, command, seconds)
 
 
@@ -178,7 +177,7 @@ def _pedals_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentifica
         likelihood = DriveLikelihood(rows, beliefs | {name: Prior(0.0, 0.0) for name in ("drag", "rolling")})
         z, scored = likelihood.fit(z) if turn else _fit_from_starts(likelihood)
         drive, brakes = regression.solve(likelihood.packed(z), likelihood.counts)
-    estimates, _ = estimates_at(likelihood, likelihood.reported, z, likelihood.covariance(scored))
+    estimates, _ = estimates_of(Fit(likelihood, z, likelihood.covariance(scored)))
     findings.append(
         f"the log reaches throttle {throttle:.2g}, brake {brake:.2g} and {np.nanmax(log[3]):.3g} m/s: the pedal map is "
         "extrapolated beyond"
@@ -293,11 +292,8 @@ def _joined_rows(logs: Sequence[Columns], requests: Sequence[str], slowest: floa
 
 def _rows(values: Mapping[str, Array], requests: Sequence[str], slowest: float) -> Array:
     """Rows of one log as `_joined_rows`: of the samples that have a time and all requests."""
-    for name in ("time", "speed"):
-        if name not in values or not np.isfinite(values[name]).any():
-            raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
-    time = values["time"]
-    usable = is_rising(time) & np.all([np.isfinite(values[name]) for name in requests], axis=0)
+    require_columns(values, "time", "speed")
+    usable = is_rising(values["time"]) & np.all([np.isfinite(values[name]) for name in requests], axis=0)
     time, speed = values["time"][usable], values["speed"][usable]
     if time.size < 2:
         raise InvalidInput(f"log: {' and '.join(requests)}: {time.size} values with a time: too few.")

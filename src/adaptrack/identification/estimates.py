@@ -16,8 +16,8 @@ kinds of logs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,11 @@ from numpy.typing import NDArray
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.identification.identified_car import Estimate
-from adaptrack.identification.likelihood import InnovationLikelihood
-from adaptrack.identification.quantities import Quantity
+from adaptrack.identification.likelihood import Fit, InnovationLikelihood
+from adaptrack.identification.quantities import Reported
 
 Array = NDArray[np.float64]
 
-ReportedRow = tuple[str, str, str, bool, Callable[[Array], float]]
-"""Name, unit, meaning, whether it is positive, and how it follows from the quantities."""
 Moments = Mapping[str, tuple[float, float]]
 """Mean and variance of quantities by name; of logarithms of positive quantities."""
 NORMAL_90 = 1.6448536269514722
@@ -95,32 +93,13 @@ def corrected(name: str, spread: float, value: float, positive: bool, before: fl
     return min(portable.hypot(correction.factor * spread, floor * unit, share * value * unit), max(before, spread))
 
 
-def quantity_row(quantities: Sequence[Quantity], name: str, meaning: str = "") -> ReportedRow:
-    """Row of a quantity that is reported as it is."""
-    place = [quantity.name for quantity in quantities].index(name)
-    quantity = quantities[place]
-    is_positive = quantity.kind in ("positive", "from zero")
-    return name, quantity.unit, meaning or quantity.meaning, is_positive, lambda v: float(v[place])
-
-
-def delay_rows(
-    quantities: Sequence[Quantity], prefix: str = "", lag: str = "", dead_time: str = "", positive: bool = True
-) -> list[ReportedRow]:
-    """Rows of lag and dead time of an actuator, with their meanings, from its delay and the share of the lag."""
-    delay, share = ([quantity.name for quantity in quantities].index(prefix + name) for name in ("delay", "lag_share"))
-    return [
-        (f"{prefix}lag", "s", lag, positive, lambda v: float(v[share] * v[delay])),
-        (f"{prefix}dead_time", "s", dead_time, positive, lambda v: float((1.0 - v[share]) * v[delay])),
-    ]
-
-
-def values_at(likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array) -> Array:
+def values_at(likelihood: InnovationLikelihood, rows: Sequence[Reported], z: Array) -> Array:
     """Reported quantities at a point; logarithms of positive quantities."""
     values = likelihood.values(z)
     return np.array([portable.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
 
 
-def slopes_at(likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array) -> Array:
+def slopes_at(likelihood: InnovationLikelihood, rows: Sequence[Reported], z: Array) -> Array:
     """Derivatives of `values_at` over the free entries of z."""
     out = np.empty((len(rows), likelihood.free.size))
     for i, place in enumerate(likelihood.free):
@@ -131,18 +110,17 @@ def slopes_at(likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: 
     return out
 
 
-def estimates_at(
-    likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array, covariance: Array, wheels: float = 0.0
-) -> tuple[dict[str, Estimate], Array]:
-    """Reported quantities by the delta method, errors corrected; derivatives over free entries, scaled likewise.
+def estimates_of(fit: Fit[Any]) -> tuple[dict[str, Estimate], Array]:
+    """Estimates of what is reported of a fit by the delta method, errors corrected, and their covariance.
 
-    wheels: rad, angle of the road wheels in tight bends, see `corrected`
+    The covariance is that of logarithms for what is positive.
     """
-    origin = np.zeros(z.size)
-    jacobian = slopes_at(likelihood, rows, z)
-    spread = _standard_errors(jacobian, covariance)
+    likelihood, rows, wheels = fit.likelihood, fit.likelihood.reported, fit.likelihood.tightest
+    jacobian = slopes_at(likelihood, rows, fit.z)
+    spread = _standard_errors(jacobian, fit.covariance)
+    origin = np.zeros(fit.z.size)
     prior = np.sqrt(portable.square(slopes_at(likelihood, rows, origin)).sum(axis=1))
-    centre, first = values_at(likelihood, rows, z), values_at(likelihood, rows, origin)
+    centre, first = values_at(likelihood, rows, fit.z), values_at(likelihood, rows, origin)
     wider, estimates = np.ones(len(rows)), {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
         may_be_zero = positive and name.endswith(FROM_ZERO)
@@ -163,15 +141,15 @@ def estimates_at(
             reach = max(map(abs, ends))
         error *= value if positive else 1.0
         estimates[name] = Estimate(name, unit, meaning, value, error, low, high, before, left, shift, reach)
-    return estimates, wider[:, None] * jacobian
+    jacobian *= wider[:, None]
+    return estimates, product(product(jacobian, fit.covariance), jacobian.T)
 
 
-def moments_at(
-    likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array, covariance: Array, wheels: float
-) -> Moments:
-    """Moments of the reported quantities, errors corrected; arguments as of `estimates_at`."""
-    jacobian, mean = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
-    spread, before = _standard_errors(jacobian, covariance), np.sqrt((jacobian * jacobian).sum(axis=1))
+def moments_of(fit: Fit[Any]) -> Moments:
+    """Moments of what is reported of a fit, errors corrected."""
+    likelihood, rows, wheels = fit.likelihood, fit.likelihood.reported, fit.likelihood.tightest
+    jacobian, mean = slopes_at(likelihood, rows, fit.z), values_at(likelihood, rows, fit.z)
+    spread, before = _standard_errors(jacobian, fit.covariance), np.sqrt((jacobian * jacobian).sum(axis=1))
     moments = {}
     for i, (name, _, _, positive, _) in enumerate(rows):
         value = portable.exp(mean[i]) if positive else float(mean[i])
@@ -180,12 +158,13 @@ def moments_at(
     return moments
 
 
-def prior_moments_at(likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array) -> Moments:
-    """Moments of the prior of the reported quantities, linearised at a point."""
-    jacobian = slopes_at(likelihood, rows, z)
-    mean = values_at(likelihood, rows, z) - product(jacobian, z[likelihood.free])
+def prior_of(fit: Fit[Any]) -> Moments:
+    """Moments of the prior of what is reported of a fit, linearised at its point."""
+    likelihood, rows = fit.likelihood, fit.likelihood.reported
+    jacobian = slopes_at(likelihood, rows, fit.z)
+    mean = values_at(likelihood, rows, fit.z) - product(jacobian, fit.z[likelihood.free])
     variance = np.sum(jacobian * jacobian, axis=1)
-    return {row[0]: (float(mean[i]), float(variance[i])) for i, row in enumerate(rows)}
+    return {row.name: (float(mean[i]), float(variance[i])) for i, row in enumerate(rows)}
 
 
 def _standard_errors(jacobian: Array, covariance: Array) -> Array:

@@ -1,7 +1,8 @@
 """Mistakes that a log may hold: one table of hypotheses, and the engine that evaluates them.
 
-The model of a hypothesis compares signals and returns numbers. Each of its cases says what a range of a number means,
-with the option that mends it. To add a hypothesis, add an entry to `LOG_HYPOTHESES`, and a test.
+The model of a hypothesis compares signals and returns numbers. Each of its cases says what a range of a number means:
+a mistake that a running loop may make, too (`core.input_check.hypotheses`), or words of its own, with the option that
+mends it. To add a hypothesis, add an entry to `LOG_HYPOTHESES`, and a test.
 
 In slow bends yaw rate and road-wheel angle obey r = v delta/(L + K v^2) (R. Rajamani, *Vehicle Dynamics and Control*,
 2nd ed., section 3.3), lateral acceleration a_y = v r. A factor between both sides tells the wrong unit. The check of a
@@ -29,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core.input_check.hypotheses import MISTAKE_NAMED
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
@@ -94,6 +96,8 @@ class Case(NamedTuple):
     high: float
     words: str
     """format of the sentence, with the numbers by their names; empty where nothing is wrong"""
+    mistake: str = ""
+    """name of the mistake in `MISTAKE_NAMED`, where a loop may make it, too"""
 
 
 class LogHypothesis(NamedTuple):
@@ -151,8 +155,10 @@ class Agreement(NamedTuple):
     """whether they are correlated enough to conclude anything"""
     contradiction: str
     """a sentence that names the mistake and the option that mends it; empty where they agree"""
-    possibility: str = ""
-    """a sentence on a mistake that is possible, but not certain"""
+    possibility: str
+    """a sentence on a mistake that is possible, but not certain; empty where they agree or contradict"""
+    mistake: str
+    """name of either in `MISTAKE_NAMED`; empty: no loop can make it"""
 
 
 class Slope(NamedTuple):
@@ -169,11 +175,11 @@ class Slope(NamedTuple):
 
 
 # -- engine -----------------------------------------------------------------------------------------------------------
-def explain(cases: Iterable[Case], numbers: Measurements) -> Iterator[str]:
-    """Sentences of the cases whose number lies in its range."""
+def find_cases(cases: Iterable[Case], numbers: Measurements) -> Iterator[Case]:
+    """Yield the cases whose number lies in its range, with their sentences in words."""
     for case in cases:
         if case.low < numbers.get(case.number, math.nan) <= case.high:
-            yield case.words.format(**numbers)
+            yield case._replace(words=case.words.format(**numbers))
 
 
 def compare(evidence: Evidence, *stages: str) -> list[Agreement]:
@@ -183,9 +189,10 @@ def compare(evidence: Evidence, *stages: str) -> list[Agreement]:
         is_due = hypothesis.stage in stages and (hypothesis.stage != "signals" or evidence.cleaned is not None)
         if is_due and evidence.values.keys() >= set(hypothesis.needs):
             numbers = hypothesis.model(evidence)
-            contradiction = next(explain(hypothesis.cases, numbers), "")
-            possibility = "" if contradiction else next(explain(hypothesis.possible, numbers), "")
-            agreements.append(Agreement(hypothesis.subject, numbers["clear"], contradiction, possibility))
+            certain = next(find_cases(hypothesis.cases, numbers), _AGREES)
+            possible = _AGREES if certain.words else next(find_cases(hypothesis.possible, numbers), _AGREES)
+            mistake = certain.mistake or possible.mistake
+            agreements.append(Agreement(hypothesis.subject, numbers["clear"], certain.words, possible.words, mistake))
     return agreements
 
 
@@ -217,7 +224,10 @@ def drop_computed_columns(values: Mapping[str, Array], wheelbase: float) -> tupl
     if not {"time", "speed", "yaw_rate", evidence.steered} <= columns.keys():
         return columns, ()
     refuse_contradictions(evidence, "gyro")
-    reasons = {column: reason for column, _, reason, _ in compare(evidence, "columns") if reason}
+    reasons = {
+        agreement.compared: agreement.contradiction
+        for agreement in compare(evidence, "columns") if agreement.contradiction
+    }  # fmt: skip
     measured = {name: column for name, column in columns.items() if name not in reasons}
     return measured, tuple(f"{name} {reason}: it is left out" for name, reason in reasons.items())
 
@@ -294,8 +304,9 @@ def _lateral_acceleration(evidence: Evidence) -> Measurements:
     if both.sum() < LEAST_BOTH:
         return {"clear": False}
     yaw_rate, acceleration = (window_mean(log.time[both], signal[both]) for signal in (log.yaw_rate, log.acceleration))
+    numbers = _slope(log.speed[both] * yaw_rate, acceleration).numbers
     flipped = "yaw_rate" if turning.factor < 0.0 and turning.numbers["clear"] else "acceleration"
-    return _slope(log.speed[both] * yaw_rate, acceleration).numbers | {"flipped": flipped}
+    return numbers | {f"factor_of_{flipped}": numbers["factor"]}
 
 
 def _yaw_clock(evidence: Evidence) -> Measurements:
@@ -509,22 +520,35 @@ def _size(x: Array) -> float:
 
 
 # -- table ------------------------------------------------------------------------------------------------------------
-def _factor_cases(sentence: str, *meanings: tuple[float, float, str]) -> tuple[Case, ...]:
-    """Cases of a factor: from, to, and what it means; empty where both signals agree."""
-    return tuple(Case("factor", low, high, meaning and f"{sentence}: {meaning}") for low, high, meaning in meanings)
+def _case(number: str, low: float, high: float, evidence: str, meaning: str) -> Case:
+    """Case of a mistake of a loop by its name, or of words; meaning: empty where both signals agree."""
+    if meaning in MISTAKE_NAMED:
+        return Case(number, low, high, MISTAKE_NAMED[meaning].says(evidence, for_log=True), meaning)
+    return Case(number, low, high, meaning and f"{evidence}: {meaning}")
+
+
+def _factor_cases(evidence: str, *meanings: tuple[float, float, str]) -> tuple[Case, ...]:
+    """Cases of a factor: from, to, and what it means."""
+    return tuple(_case("factor", low, high, evidence, meaning) for low, high, meaning in meanings)
 
 
 def _along_road(name: str, *meanings: tuple[float, float, str]) -> LogHypothesis:
     """Hypothesis on a signal (a force: over the mass), by the factor of dv/dt over it."""
-    subject, model = f"{name.replace('_', ' ')} and speed, whole log", partial(_change_of_speed, name)
-    sign = f"{name}: its sign is inverted; it must be positive forward: --flip {name}."
+    signal, sign = name.replace("_", " "), f"{name}_sign"
+    inverted = sign if sign in MISTAKE_NAMED else f"the sign of the {signal} is inverted; --flip {name}."
+    factors = _factor_cases(
+        f"{name}: the speed changes at {{factor:.3g}} times the signal",
+        (-INF, 0.0, inverted), *meanings,
+    )  # fmt: skip
     gravity = (
         f"{name} slowly departs from the change of speed, by {{slow:.2g}} m/s^2, as gravity on slopes of {{slope:.1g}} "
         "% does: possibly it contains gravity; do not use it as dv/dt."
     )
-    factors = _factor_cases(f"{name}: the speed changes at {{factor:.3g}} times the signal", *meanings)
-    cases, possible = (Case("factor", -INF, 0.0, sign), *factors), (Case("slow", LEAST_SLOPE, INF, gravity),)
-    return LogHypothesis("speed", subject, ("time", "speed", name), model, cases, possible)
+    possible, model = (
+        (Case("slow", LEAST_SLOPE, INF, gravity, f"{name}_with_gravity"),),
+        partial(_change_of_speed, name),
+    )
+    return LogHypothesis("speed", f"{signal} and speed, whole log", ("time", "speed", name), model, factors, possible)
 
 
 def _computed(name: str, model: ColumnModel, *cases: Case, needs: tuple[str, ...] = ()) -> LogHypothesis:
@@ -533,8 +557,7 @@ def _computed(name: str, model: ColumnModel, *cases: Case, needs: tuple[str, ...
     return LogHypothesis("columns", name, (name, *needs), partial(_column, name, model), (constant, *cases))
 
 
-_KM_H, _MPH = "a speed in km/h: --units speed=km/h", "a speed in mph: --units speed=mph"
-_DEGREES_PER_SECOND = "a yaw rate in degrees per second: --units yaw_rate=deg/s"
+_AGREES = Case("", 0.0, 0.0, "")
 _PEDAL, _UNIT = "it is a pedal in per cent: translate it by the map of the car's pedals", "check its unit (--units)"
 _CHECK = "check the units (--units) and the wheelbase, or give"
 _CLOCK = (
@@ -542,12 +565,13 @@ _CLOCK = (
     " or mend it: --late yaw_rate={late:.2f} (s), or --late yaw={earlier:.2f}."
 )
 _STEADY = "the yaw rate is {factor:.3g} times what the steering angle makes of a wheelbase of {wheelbase:g} m"
+_OPPOSITE = "lateral acceleration and yaw rate have opposite signs"
 _COMPUTED = "it is computed, not measured"
 LOG_HYPOTHESES = (
     LogHypothesis("positions", "positions and speed, whole log", (), _positions, _factor_cases(
-        "the positions move at {factor:.3g} times the speed",
+        "speed: the positions move at {factor:.3g} times the speed",
         (-INF, 1e-3, "x and y are degrees of latitude and longitude, or another column: --columns x=NAME,y=NAME."),
-        (0.2, 0.35, f"{_KM_H}."), (0.4, 0.5, f"{_MPH}."), (0.7, 1.4, ""), (0.0, INF, "check their units (--units)."),
+        (0.2, 0.35, "speed_in_km_h"), (0.4, 0.5, "speed_in_miles_h"), (0.7, 1.4, ""), (0.0, INF, "speed_unit"),
     )),
     LogHypothesis("gyro", "yaw_rate", (), _kinematic_yaw_rate, (Case(
         "computed", 0.0, INF,
@@ -572,17 +596,17 @@ LOG_HYPOTHESES = (
         Case("delay", 0.0, INF, f"is the command, {{delay:.3g}} s later: {_COMPUTED}"), needs=("command",),
     ),
     LogHypothesis("signals", "lateral acceleration and yaw rate, whole log", (), _lateral_acceleration, (
-        Case("factor", -INF, 0.0, "lateral acceleration and yaw rate have opposite signs. Both must be positive to the "
-             "left: --flip {flipped}."),
+        _case("factor_of_acceleration", -INF, 0.0, _OPPOSITE, "lateral_acceleration_sign"),
+        _case("factor_of_yaw_rate", -INF, 0.0, _OPPOSITE, "yaw_rate_sign"),
         *_factor_cases(
             "the lateral acceleration is {factor:.3g} times speed times yaw rate",
-            (0.01, 0.03, f"{_DEGREES_PER_SECOND}."), (0.2, 0.35, f"{_KM_H}."), (0.4, 0.5, f"{_MPH}."),
-            (0.07, 0.15, "a lateral acceleration in g: --units acceleration=g."),
+            (0.01, 0.03, "yaw_rate_in_degrees"), (0.2, 0.35, "speed_in_km_h"), (0.4, 0.5, "speed_in_miles_h"),
+            (0.07, 0.15, "lateral_acceleration_in_g"),
         ),
     )),
     LogHypothesis("signals", "yaw and yaw rate, whole log", (), _yaw_clock, (
-        Case("late", LATE, INF, f"yaw_rate is {{later:.2f}} s later {_CLOCK}"),
-        Case("late", -INF, -LATE, f"yaw_rate is {{later:.2f}} s earlier {_CLOCK}"),
+        Case("late", LATE, INF, f"yaw_rate is {{later:.2f}} s later {_CLOCK}", "yaw_late"),
+        Case("late", -INF, -LATE, f"yaw_rate is {{later:.2f}} s earlier {_CLOCK}", "yaw_late"),
     )),
     LogHypothesis("signals", "clocks of steering and yaw rate", (), _lead, (Case(
         "leads", 0.0, INF,
@@ -590,18 +614,17 @@ LOG_HYPOTHESES = (
         "{steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
     ),)),
     LogHypothesis("signals", "steering and yaw rate, whole log", (), _turning, (
-        Case("fastest", FASTEST_CAR, INF, "a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h."),
-        Case("factor", -INF, 0.0, "yaw rate and {steered} have opposite signs. Both must be positive to the left: "
-             "--flip {steered} or --flip yaw_rate, whichever is positive to the right in the log."),
-        Case("fastest_turn", FASTEST_TURN, INF, f"{_STEADY}: angles in degrees: --units deg{{ratio_option}}"),
+        _case("fastest", FASTEST_CAR, INF, "speed: no car drives at {fastest:.0f} m/s", "speed_of_no_car"),
+        _case("factor", -INF, 0.0, "yaw rate and {steered} have opposite signs", "steering_sign"),
+        _case("fastest_turn", FASTEST_TURN, INF, _STEADY, "angles in degrees: --units deg{ratio_option}"),
+        Case("factor", 4e-4, 3e-3, f"{_STEADY}: {{steered}} is the angle of the steering wheel in degrees: --units "
+             "{steered}=deg --steering-ratio {in_degrees:.0f} (or fit)", "command_too_small"),
+        Case("factor", 0.008, 0.035, f"{_STEADY}: {{steered}} is in degrees: --units {{steered}}=deg",
+             "command_too_small"),
+        Case("factor", 0.035, 0.13, f"{_STEADY}: {{steered}} is the angle of the steering wheel: --steering-ratio "
+             "{ratio:.0f}, or --steering-ratio fit", "command_too_small"),
         *_factor_cases(
-            _STEADY,
-            (4e-4, 3e-3, "{steered} is the angle of the steering wheel in degrees: --units {steered}=deg "
-             "--steering-ratio {in_degrees:.0f} (or fit)"),
-            (0.008, 0.035, "{steered} in degrees: --units {steered}=deg"),
-            (0.035, 0.13, "{steered} is the angle of the steering wheel: --steering-ratio {ratio:.0f}, or "
-             "--steering-ratio fit"),
-            (0.15, 0.35, _KM_H), (0.35, 3.5, ""), (25.0, 130.0, _DEGREES_PER_SECOND),
+            _STEADY, (0.15, 0.35, "speed_in_km_h"), (0.35, 3.5, ""), (25.0, 130.0, "yaw_rate_in_degrees"),
             (0.0, 0.5, f"{_CHECK} --steering-ratio {{ratio:.0f}}."), (0.0, INF, f"{_CHECK} the steering ratio."),
         ),
     )),
@@ -617,7 +640,7 @@ LOG_HYPOTHESES = (
     ),
     _along_road(
         "longitudinal_acceleration", (0.0, 0.2, f"{_UNIT}."), (0.2, 3.5, ""),
-        (3.5, 30.0, "it is in g: --units longitudinal_acceleration=g."), (30.0, INF, f"{_UNIT}."),
+        (3.5, 30.0, "longitudinal_acceleration_in_g"), (30.0, INF, f"{_UNIT}."),
     ),
 )  # fmt: skip
 """All hypotheses on a log, in the order in which they are evaluated at each stage."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,11 @@ from adaptrack.identification.quantities import (
     SHAPE,
     Prior,
     Quantity,
+    Reported,
     kinds_of,
+    report_delay,
+    report_quantity,
+    understeer,
     values_of,
 )
 from adaptrack.road.smoothing import Smoother
@@ -51,6 +56,11 @@ LEAST_OF_SPLINE = 20
 """Samples of a segment whose measured wheel angle is smoothed."""
 SHORTEST_SMOOTHING, LONGEST_SMOOTHING, RELAXATION_LENGTHS = 2.0, 5.0, 25
 """Smoothing lengths that are tried, in samples; s; how many."""
+ALSO_REPORTED = (
+    "lateness", "rate", "offset", "vy_ahead", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset",
+    "relaxation", "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
+)  # fmt: skip
+"""Quantities that are reported as they are where they are estimated."""
 STRETCH = 10.0
 """s, of the stretches whose estimates are compared: longer than what innovations may be correlated."""
 
@@ -65,6 +75,8 @@ class InnovationLikelihood(ABC):
     """entries of z"""
     counts: NDArray[np.bool_]
     """(..., n) innovations that count"""
+    tightest = 0.0
+    """rad, angle of the road wheels in tight bends"""
 
     def __init__(self, time: Array, begins: NDArray[np.bool_], beliefs: Mapping[str, Prior]) -> None:
         self.time, self._kinds = time, kinds_of(self.quantities)
@@ -80,6 +92,11 @@ class InnovationLikelihood(ABC):
     @abstractmethod
     def innovations(self, z: Array) -> tuple[Array, Array]:
         """All innovations and variances, shaped as `counts`, NaN where nothing is measured."""
+
+    @property
+    @abstractmethod
+    def reported(self) -> list[Reported]:
+        """Quantities that are reported."""
 
     def counted(self, z: Array) -> tuple[Array, Array]:
         """Innovations and variances that count, flat."""
@@ -177,7 +194,7 @@ class Likelihood(InnovationLikelihood):
     def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], used: Array | None = None) -> None:
         """used: (n,) 1 where a sample is taken in and counts; all when left out."""
         super().__init__(log.time, log.begins, beliefs)
-        self._kernel, self.log, self.car = kernel, log, car
+        self._kernel, self.log, self.car, self.tightest = kernel, log, car, log.tightest
         rows = np.zeros((len(kernel.LOG_ROW), log.samples))
         for name in ("time", "command", "speed", *MEASURED_OUTPUTS):
             rows[kernel.LOG_ROW._fields.index(name)] = getattr(log, name)
@@ -227,6 +244,36 @@ class Likelihood(InnovationLikelihood):
         }  # fmt: skip
         values_by_name = value | derived
         return np.array([values_by_name[name] for name in self._kernel.Quantities._fields])
+
+    @property
+    def reported(self) -> list[Reported]:
+        """Quantities that are reported of a log."""
+        wheelbase, log = self.car.wheelbase, self.log
+
+        def gradient(v: Array) -> float:
+            return understeer(v[INDEX["front"]], v[INDEX["rear"]], v[INDEX["mass"]], wheelbase, v[INDEX["front_share"]])
+
+        delayed = "lag and dead time together, from the command to the wheels"
+        if not self.present["wheel"]:
+            delayed = "from the command to the logged yaw rate: lag and dead time of the wheels, and how late a gyro is"
+        rows: list[Reported] = []
+        if log.commanded:
+            rows.append(report_quantity(QUANTITIES, "delay", delayed))
+            rows += report_delay(QUANTITIES, "", "time constant of the steering", "until the wheels begin to move")
+        steady, place = "steering per lateral acceleration in a steady bend", "centre of gravity to front axle"
+        rows += [
+            Reported("understeer_gradient", "rad s^2/m", steady, False, gradient),
+            report_quantity(QUANTITIES, "front"), report_quantity(QUANTITIES, "rear"),
+            Reported("lf", "m", place, True, lambda v: float(v[INDEX["front_share"]] * wheelbase)),
+        ]  # fmt: skip
+        if log.ratio_unknown:
+            meaning = "logged steering angle over road wheels"
+            rows.append(Reported("ratio", "-", meaning, True, lambda v: log.ratio / float(v[INDEX["gain"]])))
+        elif self.spread[INDEX["gain"]] > 0.0:
+            meaning = "logged steering angle over that of yaw rate, speed and wheelbase"
+            rows.append(Reported("angle_scale", "-", meaning, True, lambda v: 1.0 / float(v[INDEX["gain"]])))
+        free = {QUANTITIES[i].name for i in self.free}
+        return rows + [report_quantity(QUANTITIES, name) for name in ALSO_REPORTED if name in free]
 
     def innovations(self, z: Array) -> tuple[Array, Array]:
         """All innovations and variances, each (len(MEASURED_OUTPUTS), n), NaN where nothing is measured."""
@@ -311,6 +358,20 @@ class Scored:
     by_error: Array
     """(free, innovations that count), whose squares, with those of `by_size`, make the information"""
     by_size: Array
+
+
+AnyLikelihood = TypeVar("AnyLikelihood", bound=InnovationLikelihood)
+
+
+class Fit(NamedTuple, Generic[AnyLikelihood]):
+    """The most likely point of a log."""
+
+    likelihood: AnyLikelihood
+    z: Array
+    covariance: Array
+    """of the free entries of z"""
+    rivals: tuple[Array, ...] = ()
+    """points that are as likely, between which z lies; empty where there is one"""
 
 
 def _squares(rows: Array) -> Array:

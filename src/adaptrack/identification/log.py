@@ -6,6 +6,7 @@ A long log is used in fewer samples: means of neighbouring samples, and the stre
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -115,7 +116,8 @@ def log_of(
         When a signal is missing, never a number or mostly outliers, the gyro is stuck, times go back, samples are too
         rare, the car stands all the time, the log is too short, or hardly steered.
     """
-    _refuse_missing(columns)
+    require_columns(columns, "time", "speed", "yaw_rate")
+    _require_steering(columns)
     time = columns["time"]
     messages = list(notes)
     keep = is_rising(time)
@@ -137,8 +139,12 @@ def log_of(
         messages.append("no steering command, only a measured angle: lag and dead time cannot be found")
     _without_outliers(time, data, commanded, messages)
     hole = max(3.0 * period, LEAST_GAP)
-    fill = _hold_values if commanded else _filled
-    data["command"], data["speed"] = fill(time, data["command"], hole), _filled(time, data["speed"], hole)
+    is_known = np.isfinite(data["command"])
+    data["command"] = (
+        hold_values(time, time[is_known], data["command"][is_known], hole)
+        if commanded else _filled(time, data["command"], hole)
+    )  # fmt: skip
+    data["speed"] = _filled(time, data["speed"], hole)
     _without_stuck(time, data, wheelbase, messages)
     data["yaw"] = unwrapped(data["yaw"])
     log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, messages)
@@ -194,26 +200,34 @@ def _without_stuck(time: Array, data: dict[str, Array], wheelbase: float, notes:
     notes.append(f"{message}: left out, the gyro was stuck")
 
 
-def _refuse_missing(columns: dict[str, Array]) -> None:
-    """Without time, speed, yaw rate and steering there is nothing to fit."""
-    for name in ("time", "speed", "yaw_rate"):
+def require_columns(columns: Mapping[str, Array], *names: str) -> None:
+    """Check that columns exist and hold numbers.
+
+    Raises
+    ------
+    InvalidInput
+        When one does not; the message names the option that mends it.
+    """
+    for name in names:
         if name not in columns:
             raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
         if not np.isfinite(columns[name]).any():
             raise InvalidInput(f"log: the column for {name} never holds a number.")
+
+
+def _require_steering(columns: Mapping[str, Array]) -> None:
+    """Check that there is a command or a wheel angle, which holds numbers."""
     steering = [name for name in ("command", "wheel") if name in columns]
     if not steering:
         raise InvalidInput("log: no column for the steering: name it, --columns command=NAME or wheel=NAME.")
     if not any(np.isfinite(columns[name]).any() for name in steering):
-        raise InvalidInput(f"log: the column for {steering[0]} never holds a number.")
+        require_columns(columns, steering[0])
 
 
-def _hold_values(time: Array, values: Array, longest: float) -> Array:
-    """Values, each held until the next one for at most so long (s)."""
-    is_known = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(is_known, np.arange(values.size), -1))
-    last_values = np.where(last >= 0, values[last], np.nan)
-    return np.where(time - np.where(last >= 0, time[last], np.nan) <= longest, last_values, np.nan)
+def hold_values(instants: Array, time: Array, values: Array, longest: float) -> Array:
+    """Values at instants (s), each from its time (s) until the next one, for at most so long (s); else NaN."""
+    last = np.searchsorted(time, instants + 1e-9, side="right") - 1
+    return np.where((last >= 0) & (instants - time[last] <= longest), values[last], np.nan)
 
 
 def _filled(time: Array, values: Array, longest: float) -> Array:

@@ -18,26 +18,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
-from adaptrack.identification.estimates import (
-    Moments,
-    ReportedRow,
-    delay_rows,
-    estimates_at,
-    moments_at,
-    prior_moments_at,
-    quantity_row,
-    slopes_at,
-)
-from adaptrack.identification.identified_car import Estimate
-from adaptrack.identification.likelihood import NEARLY, Likelihood, Scored
-from adaptrack.identification.quantities import INDEX, QUANTITIES, shift_from_zero, understeer
+from adaptrack.identification.estimates import slopes_at
+from adaptrack.identification.likelihood import NEARLY, Fit, Likelihood, Scored
+from adaptrack.identification.quantities import INDEX, QUANTITIES, shift_from_zero
 
 Array = NDArray[np.float64]
 
@@ -66,18 +55,7 @@ CAR_QUANTITIES = (
 """Quantities that logs of one car share."""
 
 
-class Fit(NamedTuple):
-    """The most likely point of a log."""
-
-    likelihood: Likelihood
-    z: Array
-    covariance: Array
-    """of the free entries of z"""
-    rivals: tuple[Array, ...] = ()
-    """points that are as likely, between which z lies; empty where there is one"""
-
-
-def fit_log(likelihood: Likelihood, tell: Callable[[int], None] = lambda step: None) -> Fit:
+def fit_log(likelihood: Likelihood, tell: Callable[[int], None] = lambda step: None) -> Fit[Likelihood]:
     """The most likely point z of a log, the covariance of its free entries, and the points that are as likely.
 
     First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`. A
@@ -188,10 +166,10 @@ def _scale_correlation(likelihood: Likelihood, z: Array, at: Scored) -> float:
 
 def _understeer_slopes(likelihood: Likelihood, z: Array) -> Array:
     """Derivatives of the understeer gradient over the free entries of z."""
-    return slopes_at(likelihood, [row for row in reported_rows(likelihood) if row[0] == "understeer_gradient"], z)[0]
+    return slopes_at(likelihood, [row for row in likelihood.reported if row.name == "understeer_gradient"], z)[0]
 
 
-def fit_thirds(fit: Fit) -> list[Fit]:
+def fit_thirds(fit: Fit[Likelihood]) -> list[Fit[Likelihood]]:
     """Fits of thirds of a long log, each from the point of the whole log; none of a short one."""
     log, parts = fit.likelihood.log, []
     ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
@@ -202,67 +180,13 @@ def fit_thirds(fit: Fit) -> list[Fit]:
     return parts
 
 
-# -- what is reported -------------------------------------------------------------------------------------------------
-def reported_rows(likelihood: Likelihood) -> list[ReportedRow]:
-    """Rows of the quantities that are reported of a log."""
-    wheelbase, log = likelihood.car.wheelbase, likelihood.log
-
-    def gradient(v: Array) -> float:
-        return understeer(v[INDEX["front"]], v[INDEX["rear"]], v[INDEX["mass"]], wheelbase, v[INDEX["front_share"]])
-
-    delayed = "lag and dead time together, from the command to the wheels"
-    if not likelihood.present["wheel"]:
-        delayed = "from the command to the logged yaw rate: lag and dead time of the wheels, and how late a gyro is"
-    rows: list[ReportedRow] = []
-    if log.commanded:
-        rows.append(quantity_row(QUANTITIES, "delay", delayed))
-        rows += delay_rows(QUANTITIES, "", "time constant of the steering", "until the wheels begin to move")
-    place = "centre of gravity to front axle"
-    rows += [
-        ("understeer_gradient", "rad s^2/m", "steering per lateral acceleration in a steady bend", False, gradient),
-        quantity_row(QUANTITIES, "front"), quantity_row(QUANTITIES, "rear"),
-        ("lf", "m", place, True, lambda v: float(v[INDEX["front_share"]] * wheelbase)),
-    ]  # fmt: skip
-    if log.ratio_unknown:
-        meaning = "logged steering angle over road wheels"
-        rows.append(("ratio", "-", meaning, True, lambda v: log.ratio / float(v[INDEX["gain"]])))
-    elif likelihood.spread[INDEX["gain"]] > 0.0:
-        meaning = "logged steering angle over that of yaw rate, speed and wheelbase"
-        rows.append(("angle_scale", "-", meaning, True, lambda v: 1.0 / float(v[INDEX["gain"]])))
-    free = {QUANTITIES[i].name for i in likelihood.free}
-    also = (
-        "lateness", "rate", "offset", "vy_ahead", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset",
-        "relaxation", "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
-    )  # fmt: skip
-    return rows + [quantity_row(QUANTITIES, name) for name in also if name in free]
-
-
-def estimates_of(fit: Fit) -> tuple[dict[str, Estimate], Array]:
-    """Estimates of what is reported of a fit, and their covariance (logarithms for what is positive)."""
-    likelihood = fit.likelihood
-    rows, wheels = reported_rows(likelihood), likelihood.log.tightest
-    estimates, jacobian = estimates_at(likelihood, rows, fit.z, fit.covariance, wheels)
-    return estimates, product(product(jacobian, fit.covariance), jacobian.T)
-
-
-def moments_of(fit: Fit) -> Moments:
-    """Moments of what is reported of a fit."""
-    likelihood = fit.likelihood
-    return moments_at(likelihood, reported_rows(likelihood), fit.z, fit.covariance, likelihood.log.tightest)
-
-
-def prior_of(fit: Fit) -> Moments:
-    """Moments of the prior of what is reported of a fit."""
-    return prior_moments_at(fit.likelihood, reported_rows(fit.likelihood), fit.z)
-
-
 # -- several logs -----------------------------------------------------------------------------------------------------
 def shared_places(likelihood: Likelihood) -> list[int]:
     """Entries of z that belong to the car and are free."""
     return [int(i) for i in likelihood.free if QUANTITIES[i].name in CAR_QUANTITIES]
 
 
-def combine(fits: Sequence[Fit], agree: bool) -> list[Fit]:
+def combine(fits: Sequence[Fit[Likelihood]], agree: bool) -> list[Fit[Likelihood]]:
     """The fit of each log, given all logs.
 
     agree: whether they do; those that do not are granted the scatter of their means as an error of their own (random
@@ -273,7 +197,7 @@ def combine(fits: Sequence[Fit], agree: bool) -> list[Fit]:
     return [_condition(fit, mean, information) for fit in fits]
 
 
-def _widen(fits: Sequence[Fit]) -> list[Fit]:
+def _widen(fits: Sequence[Fit[Likelihood]]) -> list[Fit[Likelihood]]:
     """Fits with posteriors wider by the scatter of the logs' means."""
     means = np.full((len(fits), len(CAR_QUANTITIES)), np.nan)
     for row, fit in zip(means, fits, strict=True):
@@ -299,7 +223,7 @@ def _places(likelihood: Likelihood) -> tuple[list[int], list[int]]:
     return list(np.searchsorted(likelihood.free, shared)), [CAR_QUANTITIES.index(name) for name in names]
 
 
-def _add(fits: Sequence[Fit]) -> tuple[Array, Array]:
+def _add(fits: Sequence[Fit[Likelihood]]) -> tuple[Array, Array]:
     """Mean and information of `CAR_QUANTITIES` given all logs."""
     information, toward = np.eye(len(CAR_QUANTITIES)), np.zeros(len(CAR_QUANTITIES))
     for fit in fits:
@@ -314,7 +238,7 @@ def _add(fits: Sequence[Fit]) -> tuple[Array, Array]:
     return portable.solve(information, toward), information
 
 
-def _condition(fit: Fit, mean: Array, information: Array) -> Fit:
+def _condition(fit: Fit[Likelihood], mean: Array, information: Array) -> Fit[Likelihood]:
     """A log's fit, where the shared entries are as all logs have them."""
     free, covariance = fit.likelihood.free, fit.covariance
     rows, places = _places(fit.likelihood)

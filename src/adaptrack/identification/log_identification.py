@@ -18,13 +18,14 @@ from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification import consistency, log_fit
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
+from adaptrack.identification.estimates import estimates_of, moments_of, prior_of
 from adaptrack.identification.hypotheses import Evidence, cleaned_log, drop_computed_columns, refuse_contradictions
 from adaptrack.identification.identified_car import Identification, Series, Validation
-from adaptrack.identification.likelihood import NEARLY, Likelihood, smooth_wheel
+from adaptrack.identification.likelihood import NEARLY, Fit, Likelihood, smooth_wheel
 from adaptrack.identification.log import Log
 from adaptrack.identification.outliers import noise_of
 from adaptrack.identification.quantities import INDEX, Prior, beliefs_of, plain_car
-from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
+from adaptrack.identification.reading import Columns, Reading, Source, read_columns, read_logs
 
 Array = NDArray[np.float64]
 
@@ -78,9 +79,7 @@ def identify(
         message names the option that mends it.
     """
     believed, beliefs, curve = _believed(car, mass, wheelbase, priors)
-    read = [read_columns(source, reading or Reading()) for source in list_sources(log)]
-    if not read:
-        raise InvalidInput("identify: no log.")
+    read = read_logs(log, reading)
     if computation is not None:
         read = [replace(columns, computation=computation) for columns in read]
     show: ProgressCall = progress or (lambda *_: None)
@@ -107,14 +106,14 @@ def _with_drive(identification: Identification, read: Sequence[Columns]) -> Iden
 
 def _fits(
     read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: ProgressCall
-) -> list[log_fit.Fit]:
+) -> list[Fit[Likelihood]]:
     """Each log by itself; ratios that are to be found are measured from one guess."""
     prepared = [_prepared(columns, believed, beliefs) for columns in read]
     unknown = [likelihood.log.ratio for likelihood in prepared if likelihood.log.ratio_unknown]
     if len(unknown) > 1:
         common = float(np.median(unknown))
         prepared = [_prepared(columns, believed, beliefs, common) for columns in read]
-    fits: list[log_fit.Fit] = []
+    fits: list[Fit[Likelihood]] = []
 
     def tell(step: int) -> None:
         show("fit", log_fit.FIT_STEPS * len(fits) + step, (log_fit.FIT_STEPS + 1) * len(read))
@@ -125,14 +124,14 @@ def _fits(
     return fits
 
 
-def _alone(fit: log_fit.Fit, curve: Tyre, computation: float) -> Identification:
+def _alone(fit: Fit[Likelihood], curve: Tyre, computation: float) -> Identification:
     """Identify the car from one log."""
     log, car = fit.likelihood.log, fit.likelihood.car
-    estimates, spread = log_fit.estimates_of(fit)
+    estimates, spread = estimates_of(fit)
     validation, series = _validated(fit)
     usable, against, ratio_findings = consistency.check_ratio(fit, estimates, spread)
-    thirds = [log_fit.moments_of(third) for third in log_fit.fit_thirds(fit)]
-    moved = consistency.contradictions("stretches of the log", log_fit.prior_of(fit), thirds)
+    thirds = [moments_of(third) for third in log_fit.fit_thirds(fit)]
+    moved = consistency.contradictions("stretches of the log", prior_of(fit), thirds)
     reasons = consistency.implausible_estimates(estimates, car) + against + moved
     limits = _rivals_sentence(fit) + consistency.findings(log, estimates, validation) + ratio_findings
     rows = [i for i, name in enumerate(estimates) if name in usable]
@@ -141,18 +140,18 @@ def _alone(fit: log_fit.Fit, curve: Tyre, computation: float) -> Identification:
     )
 
 
-def _together(fits: Sequence[log_fit.Fit], alone: Sequence[Identification]) -> Identification:
+def _together(fits: Sequence[Fit[Likelihood]], alone: Sequence[Identification]) -> Identification:
     """Identify one car from several logs; quantities of a single log stay with that log."""
     main = max(
         range(len(fits)), key=lambda i: (len(log_fit.shared_places(fits[i].likelihood)), alone[i].log.driven_time)
     )
     first = alone[main]
-    reasons = consistency.contradictions("logs", log_fit.prior_of(fits[main]), list(map(log_fit.moments_of, fits)))
+    reasons = consistency.contradictions("logs", prior_of(fits[main]), list(map(moments_of, fits)))
     numbered = [(i + 1, reason) for i, identification in enumerate(alone) for reason in identification.reasons]
     unknown_ratio = consistency.UNKNOWN_RATIO
     log_reasons = [f"log {number}: {reason}" for number, reason in numbered if not reason.startswith(unknown_ratio)]
     joint = log_fit.combine(fits, agree=not (reasons or log_reasons))[main]
-    estimates, spread = log_fit.estimates_of(joint)
+    estimates, spread = estimates_of(joint)
     against: list[str] = []
     ratio_findings: tuple[str, ...] = ()
     if not first.log.ratio_unknown:
@@ -224,7 +223,7 @@ def _noises(log: Log) -> dict[str, Prior]:
     return {f"noise_{name}": Prior(max(noise, 1e-5), 1.5) for name, noise in noises.items() if math.isfinite(noise)}
 
 
-def _rivals_sentence(fit: log_fit.Fit) -> tuple[str, ...]:
+def _rivals_sentence(fit: Fit[Likelihood]) -> tuple[str, ...]:
     """A sentence on cars that fit a log equally well; none where there is one."""
     if not fit.rivals:
         return ()
@@ -237,7 +236,7 @@ def _rivals_sentence(fit: log_fit.Fit) -> tuple[str, ...]:
 
 
 # -- validation -------------------------------------------------------------------------------------------------------
-def _validated(fit: log_fit.Fit) -> tuple[Validation, Series]:
+def _validated(fit: Fit[Likelihood]) -> tuple[Validation, Series]:
     """A second fit without every fourth stretch, which predicts them."""
     likelihood, z, log = fit.likelihood, fit.z, fit.likelihood.log
     block = np.floor((log.time - log.time[0]) / VALIDATION_BLOCK).astype(np.int64)

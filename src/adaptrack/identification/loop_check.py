@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.input_check import Finding, InputCheck
-from adaptrack.identification.hypotheses import Agreement, Evidence, cleaned_log, compare
-from adaptrack.identification.log import check_times
+from adaptrack.control.input_check import InputCheck
+from adaptrack.core.input_check.hypotheses import MISTAKES
+from adaptrack.identification.hypotheses import Evidence, cleaned_log, compare
+from adaptrack.identification.log import check_times, require_columns
 from adaptrack.identification.reading import Columns
 
 SIGNALS = ("speed", "yaw_rate", "vy", "acceleration", "wheel", "command", "longitudinal_acceleration")
@@ -24,15 +25,24 @@ LEAST = 2.0
 """s, from which on a comparison of windows tells something."""
 
 
+class ComparedSignals(NamedTuple):
+    """One comparison of signals of a log."""
+
+    compared: str
+    seconds: float
+    """of driving in which both could be compared"""
+    verdict: Literal["contradictory", "consistent", "unknown"]
+
+
 class LoopCheck(NamedTuple):
     """Result of a check of the columns of a log."""
 
     contradictions: tuple[str, ...]
-    """sentences: column, measured contradiction, remedy; those of the whole log, with their option, first"""
-    findings: tuple[Finding, ...]
-    """of windows of half a second"""
-    agreements: tuple[Agreement, ...]
-    """of the whole log"""
+    """sentences: column, measured contradiction, remedy; those of the whole log first, each mistake once"""
+    possibilities: tuple[str, ...]
+    """sentences on mistakes that are possible, but not certain"""
+    comparisons: tuple[ComparedSignals, ...]
+    """of windows of half a second, then of the whole log"""
     seconds: float
     """from the first sample to the last, on the log's clock"""
     sliding: float
@@ -41,15 +51,9 @@ class LoopCheck(NamedTuple):
     """why the whole log could not be compared; empty where it was"""
 
     @property
-    def possibilities(self) -> tuple[str, ...]:
-        """Sentences on mistakes that are possible, but not certain."""
-        return tuple(agreement.possibility for agreement in self.agreements if agreement.possibility)
-
-    @property
     def compared(self) -> int:
         """How many comparisons tell something."""
-        windows = sum(finding.seconds > LEAST for finding in self.findings)
-        return windows + sum(agreement.clear for agreement in self.agreements)
+        return sum(comparison.verdict != "unknown" for comparison in self.comparisons)
 
 
 def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
@@ -64,9 +68,7 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
         When there is no time, or no speed, or the times cannot be in s.
     """
     values = columns.values
-    for name in ("time", "speed"):
-        if name not in values or not np.isfinite(values[name]).any():
-            raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
+    require_columns(values, "time", "speed")
     instants = np.unique(values["time"][np.isfinite(values["time"])])
     if instants.size > 1:
         check_times(instants)
@@ -77,10 +79,29 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
         evidence = replace(evidence, cleaned=cleaned_log(columns, wheelbase))
     except InvalidInput as error:
         limit = str(error).removeprefix("log: ")
-    agreements = compare(evidence, "positions", "signals", "speed")
-    sentences = tuple(agreement.contradiction for agreement in agreements if agreement.contradiction)
-    return LoopCheck(
-        sentences + check.suspect, check.findings, tuple(agreements), float(np.ptp(instants)), sliding, limit
+    agreements, seconds = compare(evidence, "positions", "signals", "speed"), float(np.ptp(instants))
+    comparisons = [_compared(*numbers, LEAST) for numbers in check.compared]
+    comparisons += [
+        _compared(agreement.compared, seconds * agreement.clear, bool(agreement.contradiction))
+        for agreement in agreements
+    ]
+    reported = {MISTAKES._fields[mistake]: mistake for mistake in check.mistakes}
+    sentences: dict[str, str] = {}  # by the mistake, or the compared signals
+    for agreement in agreements:
+        if agreement.contradiction:
+            sentences.setdefault(agreement.mistake or agreement.compared, agreement.contradiction)
+    for name, mistake in reported.items():
+        sentences.setdefault(name, check.sentence(mistake, for_log=True, steered=evidence.steered))
+    possibilities = [
+        agreement.possibility for agreement in agreements if agreement.possibility and agreement.mistake not in reported
+    ]
+    return LoopCheck(tuple(sentences.values()), tuple(possibilities), tuple(comparisons), seconds, sliding, limit)
+
+
+def _compared(signals: str, seconds: float, contradicts: bool, least: float = 0.0) -> ComparedSignals:
+    """Return a comparison that tells something from more than `least` (s) on."""
+    return ComparedSignals(
+        signals, seconds, "contradictory" if contradicts else "consistent" if seconds > least else "unknown"
     )
 
 

@@ -9,7 +9,7 @@ prior; all fits are in z.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -41,6 +41,36 @@ class Quantity:
     meaning: str
     prior: Prior | None = None
     """of any car; None: the car file gives it"""
+
+
+class Reported(NamedTuple):
+    """A quantity that is reported, and how it follows from those of the fit."""
+
+    name: str
+    unit: str
+    meaning: str
+    is_positive: bool
+    value: Callable[[Array], float]
+    """of the fitted quantities, in their units and order"""
+
+
+def report_quantity(quantities: Sequence[Quantity], name: str, meaning: str = "") -> Reported:
+    """A quantity that is reported as it is."""
+    place = [quantity.name for quantity in quantities].index(name)
+    quantity = quantities[place]
+    is_positive = quantity.kind in ("positive", "from zero")
+    return Reported(name, quantity.unit, meaning or quantity.meaning, is_positive, lambda v: float(v[place]))
+
+
+def report_delay(
+    quantities: Sequence[Quantity], prefix: str = "", lag: str = "", dead_time: str = "", is_positive: bool = True
+) -> list[Reported]:
+    """Lag and dead time of an actuator, with their meanings, from its delay and the share of the lag."""
+    delay, share = ([quantity.name for quantity in quantities].index(prefix + name) for name in ("delay", "lag_share"))
+    return [
+        Reported(f"{prefix}lag", "s", lag, is_positive, lambda v: float(v[share] * v[delay])),
+        Reported(f"{prefix}dead_time", "s", dead_time, is_positive, lambda v: float((1.0 - v[share]) * v[delay])),
+    ]
 
 
 def kinds_of(quantities: Sequence[Quantity]) -> NDArray[np.intp]:

@@ -19,7 +19,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
 from adaptrack.core.maths.portable import product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
-from adaptrack.identification.log import unwrapped
+from adaptrack.identification.log import hold_values, unwrapped
 from adaptrack.identification.outliers import find_samples
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -114,8 +114,8 @@ class LogTable(NamedTuple):
     columns: dict[str, CellArray]
     units: dict[str, str]
     """column -> its cell in the row of units below the names"""
-    computation: float = 0.0
-    """s, of the dead time that lies in the controller's computation, where the file tells"""
+    run: Trajectory | None = None
+    """from `Trajectory.save`"""
 
 
 @dataclass(frozen=True)
@@ -176,14 +176,19 @@ class Columns:
     """whether ``command`` is an angle of the steering wheel, whose ratio is to be found"""
     ratio: float = 1.0
     """-, by which steering angles were divided"""
+    run: Trajectory | None = None
+    """where the log is one of `Trajectory.save`"""
 
 
-def list_sources(logs: Source | Sequence[Source]) -> list[Source]:
-    """A log, or several, as a list."""
-    return [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
+def read_logs(logs: Source | Sequence[Source], reading: Reading | None = None) -> list[Columns]:
+    """The signals of a log, or of several; errors as `read_columns`, and when there is none."""
+    sources = [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
+    if not sources:
+        raise InvalidInput("log: give one at least.")
+    return [read_columns(source, reading or Reading()) for source in sources]
 
 
-def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:
+def read_columns(source: Source, reading: Reading) -> Columns:
     """The signals of a log: a .csv or .parquet file, one of `Trajectory.save`, or arrays by name.
 
     Raises
@@ -227,7 +232,8 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
     stated_ratio = reading.steering_ratio
     ratio = float(stated_ratio) if isinstance(stated_ratio, int | float) else 1.0
-    return Columns(values, tuple(notes), where, table.computation, commanded, unknown, ratio)
+    late = 0.0 if table.run is None else _computation(table.run)
+    return Columns(values, tuple(notes), where, late, commanded, unknown, ratio, table.run)
 
 
 def _table_from_arrays(source: Mapping[str, object]) -> LogTable:
@@ -309,17 +315,16 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
     if signal == "yaw":
         values = np.unwrap(values)
     at = time[ask]
+    if signal in HELD_SIGNALS:
+        out[ask] = hold_values(at, clock, values, hole)
+        return out
     before = np.clip(np.searchsorted(clock, at + 1e-9, side="right") - 1, 0, clock.size - 1)
     after = np.minimum(before + 1, clock.size - 1)
-    if signal in HELD_SIGNALS:
-        near, samples = (at + 1e-9 >= clock[before]) & (at - clock[before] <= hole), values[before]
-    else:
-        near = (at >= clock[0]) & (at <= clock[-1]) & (clock[after] - clock[before] <= hole)
-        samples = np.interp(at, clock, values)
-        if signal != "speed" and period > 1.5 * float(np.median(np.diff(at))):
-            nearest = np.clip(np.searchsorted(0.5 * (at[1:] + at[:-1]), clock), 0, at.size - 1)
-            near &= np.isin(np.arange(at.size), nearest)
-    out[ask] = np.where(near, samples, np.nan)
+    near = (at >= clock[0]) & (at <= clock[-1]) & (clock[after] - clock[before] <= hole)
+    if signal != "speed" and period > 1.5 * float(np.median(np.diff(at))):
+        nearest = np.clip(np.searchsorted(0.5 * (at[1:] + at[:-1]), clock), 0, at.size - 1)
+        near &= np.isin(np.arange(at.size), nearest)
+    out[ask] = np.where(near, np.interp(at, clock, values), np.nan)
     return out
 
 
@@ -509,9 +514,7 @@ def _parquet(path: Path, content: bytes) -> LogTable:
                  "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
         if "requested_force" in run.diagnostics:
             names["force_command"] = run.diagnostics["requested_force"]
-        return LogTable(
-            {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, _computation(run)
-        )
+        return LogTable({name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, run)
     return LogTable({name: _read_cells(table.column(i)) for i, name in enumerate(table.column_names)}, {})
 
 

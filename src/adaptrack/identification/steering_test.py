@@ -21,11 +21,11 @@ from adaptrack.control.controllers import LearnedCar
 from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED, STIFFNESS_BOUND
 from adaptrack.core.maths import portable
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
-from adaptrack.identification.estimates import delay_rows, slopes_at, values_at
+from adaptrack.identification.estimates import slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import LONGEST_PERIOD, Log
 from adaptrack.identification.log_fit import START_DELAYS, starting_point
-from adaptrack.identification.quantities import QUANTITIES, Prior, beliefs_of
+from adaptrack.identification.quantities import QUANTITIES, Prior, beliefs_of, report_delay
 
 Array = NDArray[np.float64]
 
@@ -172,7 +172,7 @@ class SteeringTest:
                 f"SteeringTest: the wheels do not follow the commands, which explain {max(share, 0.0):.0%} of the "
                 "response: check that the commands reach the steering, their sign, and the sensor's unit."
             )
-        rows, covariance = delay_rows(QUANTITIES, positive=False), portable.inverse(scored.information)
+        rows, covariance = report_delay(QUANTITIES, is_positive=False), portable.inverse(scored.information)
         slopes, (lag, dead_time) = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
         covariance = portable.product(portable.product(slopes, covariance), slopes.T)
         return SteeringFit(float(lag), float(dead_time), covariance)

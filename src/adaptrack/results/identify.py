@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptrack.base.files import write_atomically
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.identification import DriveIdentification, Estimate, Identification
-from adaptrack.identification.loop_check import LEAST, LoopCheck
+from adaptrack.identification.loop_check import LoopCheck
 from adaptrack.identification.quantities import degrees_per_g
 from adaptrack.results.marks import DASHED, MUTED, SERIES, ColourScale, draw_bars, draw_dots, draw_heat_map, make_stroke
 from adaptrack.results.run_pictures import turning_part
@@ -21,6 +21,7 @@ from adaptrack.results.words import capital, number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+IntervalEnds = tuple[float, float]
 _MEASURED, _SIMULATED, _BOUND = make_stroke(SERIES[0]), make_stroke(SERIES[1]), make_stroke(MUTED, DASHED)
 _SECONDS = 30.0
 """Length of the part of the log in the first picture (s)."""
@@ -28,19 +29,11 @@ _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m"
           "kg m^2": ("kg m²", 1.0), "m/s^2": ("m/s²", 1.0), "-": ("", 1.0)}  # fmt: skip
 _NAMES = {
     "delay": "Delay of the steering", "lag": "Lag", "dead_time": "Dead time", "front": "Front axle",
-    "rear": "Rear axle", "offset": "Steering offset", "push_mean": "Mean bank acceleration", "lf": "l_f",
-    "rate": "Rate limit of the steering", "ratio": "Steering ratio",
+    "rear": "Rear axle", "offset": "Steering offset", "push_mean": "Mean bank acceleration",
+    "lf": "Front axle to centre of gravity", "rate": "Rate limit of the steering", "ratio": "Steering ratio",
 }  # fmt: skip
 _FIRST = ("delay", "understeer_gradient", "front", "rear", "offset")
 
-ESTIMATE_COLUMNS = (
-    Column("quantity", "quantity"),
-    Column("value", "value"),
-    Column("low", "90 %\nfrom"),
-    Column("high", "90 %\nto"),
-    Column("unit", "unit"),
-    Column("before", "initial\ninterval"),
-)
 QUANTITY_COLUMNS = (
     Column("label", "Quantity"),
     Column("unit", "Unit"),
@@ -50,6 +43,8 @@ QUANTITY_COLUMNS = (
     Column("says", "Information in the log"),
     Column("meaning", "Meaning"),
 )
+ESTIMATE_COLUMNS = QUANTITY_COLUMNS[:5]
+"""Of estimates on the console, and of learned values."""
 
 
 def identification_result(identification: Identification, command: str = "") -> Result:
@@ -73,7 +68,7 @@ def identification_result(identification: Identification, command: str = "") -> 
             "checked": checked, "log": log, "believed": identification.believed, "rate": 1.0 / log.period,
             "findings": [f"{capital(finding)}." for finding in findings],
             "reasons": [f"{capital(reason)}." for reason in identification.reasons],
-            "first": [_convert_units(identification[name]) for name in _FIRST if name in identification.estimates],
+            "first": [_estimate_row(identification[name]) for name in _FIRST if name in identification.estimates],
         },
         command=command,
     )  # fmt: skip
@@ -81,7 +76,7 @@ def identification_result(identification: Identification, command: str = "") -> 
 
 def _first(identification: Identification) -> str:
     """Return the most important estimates in words."""
-    rows = [_convert_units(identification[name]) for name in _FIRST[:2] if name in identification.estimates]
+    rows = [_estimate_row(identification[name]) for name in _FIRST[:2] if name in identification.estimates]
     words = [f"{row['label'].lower()} {row['value']:.3g} ± {row['half']:.2g} {row['unit']}" for row in rows]
     return capital(", ".join(words)) if words else "The log determines neither delay nor understeer gradient"
 
@@ -100,19 +95,21 @@ def write_identification_page(identification: Identification, path: str | os.Pat
     return Path(path)
 
 
-def _convert_units(estimate: Estimate) -> Row:
-    """Convert an estimate to the units of the page."""
-    unit, factor = _UNITS.get(estimate.unit, (estimate.unit, 1.0))
+def quantity_row(name: str, unit: str, value: float, interval: IntervalEnds, before: IntervalEnds) -> dict[str, Any]:
+    """Return a row of `ESTIMATE_COLUMNS` in the units of the page; before: 90 % interval before the log."""
+    unit, factor = _UNITS.get(unit, (unit, 1.0))
     return {
-        "label": capital(_NAMES.get(estimate.name, estimate.name.replace("_", " "))),
-        "unit": unit,
-        "value": estimate.value * factor,
-        "interval": (estimate.low * factor, estimate.high * factor),
-        "half": 0.5 * (estimate.high - estimate.low) * factor,
-        "before": (estimate.before[0] * factor, estimate.before[1] * factor),
-        "says": "much" if estimate.spread_left < 0.2 else "some" if estimate.spread_left < 0.7 else "little",
-        "meaning": estimate.meaning,
-    }
+        "label": capital(_NAMES.get(name, name.replace("_", " "))), "unit": unit, "value": value * factor,
+        "interval": (interval[0] * factor, interval[1] * factor), "before": (before[0] * factor, before[1] * factor),
+    }  # fmt: skip
+
+
+def _estimate_row(estimate: Estimate) -> dict[str, Any]:
+    """Return a row of `QUANTITY_COLUMNS`, and half the width of the interval."""
+    row = quantity_row(estimate.name, estimate.unit, estimate.value, (estimate.low, estimate.high), estimate.before)
+    low, high = row["interval"]
+    says = "much" if estimate.spread_left < 0.2 else "some" if estimate.spread_left < 0.7 else "little"
+    return row | {"half": 0.5 * (high - low), "says": says, "meaning": estimate.meaning}
 
 
 def _tables(identification: Identification) -> list[ResultTable]:
@@ -121,11 +118,10 @@ def _tables(identification: Identification) -> list[ResultTable]:
     estimates = [
         estimate for estimate in (*identification.estimates.values(), *drive.values()) if estimate.spread_left > 0.0
     ]  # all others keep their initial values
-    plain = [_plain_row(estimate) for estimate in estimates]
-    rows = [_convert_units(estimate) for estimate in estimates]
+    rows = [_estimate_row(estimate) for estimate in estimates]
     title = f"{log.driven_time:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
     return [
-        ResultTable("console", title, ESTIMATE_COLUMNS, plain, brief=True),
+        ResultTable("console", title, ESTIMATE_COLUMNS, rows, brief=True),
         ResultTable(
             "quantities", "Quantities with their 90 % intervals", QUANTITY_COLUMNS, rows,
             best=select_entries(rows, ["value"], lambda row: True),
@@ -134,20 +130,12 @@ def _tables(identification: Identification) -> list[ResultTable]:
     ]  # fmt: skip
 
 
-def _plain_row(estimate: Estimate) -> Row:
-    """Return an estimate for the console."""
-    return {
-        "quantity": estimate.name.replace("_", " "), "value": estimate.value, "low": estimate.low,
-        "high": estimate.high, "unit": estimate.unit, "before": f"{estimate.before[0]:.3g} to {estimate.before[1]:.3g}",
-    }  # fmt: skip
-
-
 def drive_identification_result(identification: DriveIdentification) -> Result:
     """Return the result of `identify_drive`; its record is that of `DriveIdentification.to_dict`."""
     names = [
         name for name, key in (("drive", "drive_gain"), ("brakes", "brake_gain")) if key in identification.estimates
     ]
-    rows = [_plain_row(estimate) for estimate in identification.estimates.values()]
+    rows = [_estimate_row(estimate) for estimate in identification.estimates.values()]
     pedals = "pedal map, " if identification.pedals is not None else ""
     title = f"{capital(pedals + ' and '.join(names))} identified from {identification.seconds:.0f} s of driving"
     return Result(
@@ -266,15 +254,7 @@ INPUT_CHECK_COLUMNS = (
 
 def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = ()) -> Result:
     """Return the result with the contradictions of a log and all comparisons."""
-    rows = [
-        _comparison_row(finding.compared, finding.seconds, bool(finding.label), finding.seconds > LEAST)
-        for finding in check.findings
-    ] + [
-        _comparison_row(
-            agreement.compared, check.seconds * agreement.clear, bool(agreement.contradiction), agreement.clear
-        )
-        for agreement in check.agreements
-    ]  # fmt: skip
+    rows = [comparison._asdict() for comparison in check.comparisons]
     sliding = (f"The car slid for {check.sliding:.1f} s.",) if check.sliding else ()
     answer = f"No contradictions in {check.compared} of {len(rows)} comparisons; the others lack a log column or bends."
     if check.contradictions:
@@ -290,8 +270,3 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = ()) -> Res
         notes=[*check.contradictions[1:], *check.possibilities, *(f"{note}." for note in notes), *sliding],
         failed=bool(check.contradictions),
     )  # fmt: skip
-
-
-def _comparison_row(compared: str, seconds: float, contradicts: bool, clear: bool) -> dict[str, str | float]:
-    verdict = "contradictory" if contradicts else "consistent" if clear else "unknown"
-    return {"compared": compared, "seconds": seconds, "verdict": verdict}

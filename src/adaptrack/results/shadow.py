@@ -14,8 +14,8 @@ from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import LEARNED
 from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.observation import PREDICTORS
-from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
+from adaptrack.identification.shadow import PREDICTOR_NAMES, PREDICTORS, Shadow, ShadowLog, Warned
+from adaptrack.results.identify import ESTIMATE_COLUMNS, quantity_row
 from adaptrack.results.marks import BACKGROUND_STROKE, REFERENCE_STROKE, add_degrees, draw_dots, draw_ribbon, strokes
 from adaptrack.results.run_pictures import LABELS, thin_curve, turning_part
 from adaptrack.results.words import capital, listed, number
@@ -23,10 +23,6 @@ from adaptrack.results.words import capital, listed, number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PREDICTOR_LABELS = {
-    "learned": "learned model", "held": "constant rate", "first": "initial model", "steady": "steady turn",
-}  # fmt: skip
-PREDICTOR_NAMES = PREDICTOR_LABELS | {"held": "constant yaw rate"}
 VERDICT_WORDS = {"not believable": "implausible", "believable": "plausible", "at a bound": "at the limit of the prior"}
 PREDICTOR_STROKES = strokes(PREDICTORS)
 SHOWN_SECONDS = 15.0
@@ -43,13 +39,6 @@ PREDICTION_COLUMNS = (
         "fastest", "fast", "rad/s", 3, f"error {LATER:g} s ahead, in the third of the log with the fastest steering"
     ),
     Column("y", "offset", "m", 3, f"error of the offset from the path, {LATER:g} s ahead"),
-)
-LEARNED_CAR_COLUMNS = (
-    Column("name", "quantity"),
-    Column("value", "value", show=3),
-    Column("interval", "90 % interval", show=3),
-    Column("before", "initial interval", show=3),
-    Column("unit", "unit"),
 )
 
 
@@ -146,7 +135,7 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
     fastest, y = log.of("yaw_rate", LATER, "fastest"), log.of("y", LATER)
     rows: list[dict[str, Any]] = [
         {
-            "name": PREDICTOR_LABELS[name], "soon": soon[name].rms.value, "later": prediction.rms.value,
+            "name": PREDICTOR_NAMES[name], "soon": soon[name].rms.value, "later": prediction.rms.value,
             "interval": prediction.rms[1:], "ours": None if name == "learned" else prediction.ours[1:],
             "fastest": fastest[name].rms.value, "y": y[name].rms.value if y else None,
         }
@@ -157,15 +146,14 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
         for name in ("soon", "later", "fastest", *(("y",) if y else ()))
     ]
     learned_rows = [
-        {"name": name.replace("_", " "), "value": interval.value, "interval": (interval.low, interval.high),
-         "before": (old.low, old.high), "unit": interval.unit}
+        quantity_row(name, interval.unit, interval.value, (interval.low, interval.high), (old.low, old.high))
         for name, interval, old in zip(LEARNED._fields, log.learned.intervals, log.before.intervals, strict=False)
-    ]  # fmt: skip
+    ]
     title = f"RMS errors of predicted yaw rate{' and offset' if y else ''}{suffix}"
     columns = PREDICTION_COLUMNS if y else PREDICTION_COLUMNS[:-1]
     return [
         ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
-        ResultTable(f"believed{suffix}", f"Learned values{suffix}", LEARNED_CAR_COLUMNS, learned_rows, brief=True),
+        ResultTable(f"believed{suffix}", f"Learned values{suffix}", ESTIMATE_COLUMNS, learned_rows, brief=True),
     ]
 
 

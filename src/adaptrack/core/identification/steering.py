@@ -68,9 +68,9 @@ OUTPUT = columns("yaw_rate", "vy", "acceleration", "yaw", "wheel")
 FOUND = columns("wind", "wheel_angle", "front_slip", "rear_slip")
 """m/s, rad, -, -: what the filter finds at each sample: gusts beside the mean, wheels, slips."""
 IDENTIFICATION_ANSWER = 2 * len(OUTPUT) + len(FOUND)
-IDENTIFICATION_STATE = columns("vy", "yaw_rate", "slip_front", "slip_rear", "yaw", "wind", "gust", "push")
+_STATE = columns("vy", "yaw_rate", "slip_front", "slip_rear", "yaw", "wind", "gust", "push")
 """The first four obey dv/dt = M v + n_0 + n_1 t within a step. g is the gust that the wind w follows."""
-_CAR, _MIXED, _N = 4, 6, len(IDENTIFICATION_STATE)
+_CAR, _MIXED, _N = 4, 6, len(_STATE)
 _vector, _covariance, _transition = local(_N), local(_N, _N), local(_MIXED, _N)
 _square, _column = local(_CAR, _N), local(_CAR)
 FLOOR = 1e-10
@@ -117,8 +117,8 @@ def _move_wheels(angle, target, lag, rate, span):
 @inlined
 def _axles(q, x, angle):
     """Lateral force (N) and its slope over the state (N), front at a wheel angle (rad), and rear."""
-    load, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), x[IDENTIFICATION_STATE.slip_rear]
-    course = sin(angle) / cos(angle) - x[IDENTIFICATION_STATE.slip_front]
+    load, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), x[_STATE.slip_rear]
+    course = sin(angle) / cos(angle) - x[_STATE.slip_front]
     front, slope_front = _tyre(angle - atan(course), q.front, load * q.lr, q.shape_factor)
     rear, slope_rear = _tyre(atan(slip_rear), q.rear, load * q.lf, q.shape_factor)
     return front, slope_front / (1.0 + square(course)), rear, slope_rear / (1.0 + square(slip_rear))
@@ -145,50 +145,31 @@ def _start(q, k, log, x, p):
         for j in range(_N):
             p[i, j] = 0.0
     rate, yaw = log[LOG_ROW.yaw_rate, k], log[LOG_ROW.yaw, k]
-    x[IDENTIFICATION_STATE.yaw_rate] = rate - q.gyro_offset if rate == rate else 0.0
-    x[IDENTIFICATION_STATE.yaw] = yaw if yaw == yaw else 0.0
-    (
-        p[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.vy],
-        p[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.yaw_rate],
-    ) = 1.0, 0.05 * 0.05 + square(q.noise_yaw_rate)
-    p[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.slip_front] = p[
-        IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.slip_rear
-    ] = 0.05 * 0.05
-    p[IDENTIFICATION_STATE.yaw, IDENTIFICATION_STATE.yaw] = square(q.noise_yaw) if yaw == yaw else 1e6
+    x[_STATE.yaw_rate] = rate - q.gyro_offset if rate == rate else 0.0
+    x[_STATE.yaw] = yaw if yaw == yaw else 0.0
+    p[_STATE.vy, _STATE.vy] = 1.0
+    p[_STATE.yaw_rate, _STATE.yaw_rate] = 0.05 * 0.05 + square(q.noise_yaw_rate)
+    p[_STATE.slip_front, _STATE.slip_front] = p[_STATE.slip_rear, _STATE.slip_rear] = 0.05 * 0.05
+    p[_STATE.yaw, _STATE.yaw] = square(q.noise_yaw) if yaw == yaw else 1e6
     calm = square(q.wind_spread)
-    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.wind], p[IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.gust] = (
-        calm,
-        calm * (1.0 + q.wind_rise / q.wind_time),
-    )
-    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.gust] = p[
-        IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.wind
-    ] = calm
-    p[IDENTIFICATION_STATE.push, IDENTIFICATION_STATE.push] = square(q.push_spread)
+    p[_STATE.wind, _STATE.wind], p[_STATE.gust, _STATE.gust] = calm, calm * (1.0 + q.wind_rise / q.wind_time)
+    p[_STATE.wind, _STATE.gust] = p[_STATE.gust, _STATE.wind] = calm
+    p[_STATE.push, _STATE.push] = square(q.push_spread)
 
 
 @inlined
 def _linearise(q, speed, slope_front, slope_rear, m):
     """Write M, of the first four states about their slips."""
     sigma = max(q.relaxation, 0.01)
-    m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.vy] = -q.side * speed / q.mass  # relative wind
-    m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.yaw_rate] = (q.superelevation - 1.0) * speed
-    (
-        m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.slip_front],
-        m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.slip_rear],
-    ) = slope_front / q.mass, slope_rear / q.mass
-    m[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.vy] = -_turning(q) * speed / q.yaw_inertia
-    m[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.slip_front] = q.lf * slope_front / q.yaw_inertia
-    m[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.slip_rear] = -q.lr * slope_rear / q.yaw_inertia
-    m[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.vy] = m[
-        IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.vy
-    ] = -1.0 / sigma
-    (
-        m[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.yaw_rate],
-        m[IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.yaw_rate],
-    ) = -q.lf / sigma, q.lr / sigma
-    m[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.slip_front] = m[
-        IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.slip_rear
-    ] = -speed / sigma
+    m[_STATE.vy, _STATE.vy] = -q.side * speed / q.mass  # relative wind
+    m[_STATE.vy, _STATE.yaw_rate] = (q.superelevation - 1.0) * speed
+    m[_STATE.vy, _STATE.slip_front], m[_STATE.vy, _STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
+    m[_STATE.yaw_rate, _STATE.vy] = -_turning(q) * speed / q.yaw_inertia
+    m[_STATE.yaw_rate, _STATE.slip_front] = q.lf * slope_front / q.yaw_inertia
+    m[_STATE.yaw_rate, _STATE.slip_rear] = -q.lr * slope_rear / q.yaw_inertia
+    m[_STATE.slip_front, _STATE.vy] = m[_STATE.slip_rear, _STATE.vy] = -1.0 / sigma
+    m[_STATE.slip_front, _STATE.yaw_rate], m[_STATE.slip_rear, _STATE.yaw_rate] = -q.lf / sigma, q.lr / sigma
+    m[_STATE.slip_front, _STATE.slip_front] = m[_STATE.slip_rear, _STATE.slip_rear] = -speed / sigma
 
 
 @inlined
@@ -199,26 +180,15 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     """
     m, constant, ramp, air = _square(), _column(), _column(), _column()
     front, slope_front, rear, slope_rear = _axles(q, x, angle)
-    rest_front, rest_rear = (
-        front - slope_front * x[IDENTIFICATION_STATE.slip_front],
-        rear - slope_rear * x[IDENTIFICATION_STATE.slip_rear],
-    )
+    rest_front, rest_rear = front - slope_front * x[_STATE.slip_front], rear - slope_rear * x[_STATE.slip_rear]
     steady, slope = _wind(q, speed)
     _linearise(q, speed, slope_front, slope_rear, m)
-    constant[IDENTIFICATION_STATE.vy] = (rest_front + rest_rear + q.side * steady) / q.mass + q.push_mean
-    constant[IDENTIFICATION_STATE.yaw_rate] = (
-        q.lf * rest_front - q.lr * rest_rear + _turning(q) * steady
-    ) / q.yaw_inertia
+    constant[_STATE.vy] = (rest_front + rest_rear + q.side * steady) / q.mass + q.push_mean
+    constant[_STATE.yaw_rate] = (q.lf * rest_front - q.lr * rest_rear + _turning(q) * steady) / q.yaw_inertia
     entering = speed / max(q.relaxation, 0.01)
     tangent, turning = sin(angle) / cos(angle), turning / square(cos(angle))
-    constant[IDENTIFICATION_STATE.slip_front], ramp[IDENTIFICATION_STATE.slip_front] = (
-        entering * (tangent - 0.5 * h * turning),
-        entering * turning,
-    )
-    air[IDENTIFICATION_STATE.vy], air[IDENTIFICATION_STATE.yaw_rate] = (
-        q.side * slope / q.mass,
-        _turning(q) * slope / q.yaw_inertia,
-    )
+    constant[_STATE.slip_front], ramp[_STATE.slip_front] = entering * (tangent - 0.5 * h * turning), entering * turning
+    air[_STATE.vy], air[_STATE.yaw_rate] = q.side * slope / q.mass, _turning(q) * slope / q.yaw_inertia
 
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
     by_constant, by_ramp, by_air = _column(), _column(), _column()
@@ -233,24 +203,15 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     for i in range(_CAR):
         for j in range(_CAR):
             f[i, j] = s0[i, j]
-        f[i, IDENTIFICATION_STATE.wind], f[i, IDENTIFICATION_STATE.gust] = (
-            by_air[i] * 0.5 * (1.0 + kept_w),
-            by_air[i] * 0.5 * rise,
-        )
-        f[i, IDENTIFICATION_STATE.push] = s1[i, IDENTIFICATION_STATE.vy] * 0.5 * (1.0 + kept_d)
+        f[i, _STATE.wind], f[i, _STATE.gust] = by_air[i] * 0.5 * (1.0 + kept_w), by_air[i] * 0.5 * rise
+        f[i, _STATE.push] = s1[i, _STATE.vy] * 0.5 * (1.0 + kept_d)
         moved[i] = by_constant[i] + by_ramp[i]
     for j in range(_N):  # the yaw by the trapezoidal rule
-        f[IDENTIFICATION_STATE.yaw, j] = 0.5 * h * f[IDENTIFICATION_STATE.yaw_rate, j]
-    f[IDENTIFICATION_STATE.yaw, IDENTIFICATION_STATE.yaw_rate] += 0.5 * h
-    f[IDENTIFICATION_STATE.yaw, IDENTIFICATION_STATE.yaw], moved[IDENTIFICATION_STATE.yaw] = (
-        1.0,
-        0.5 * h * moved[IDENTIFICATION_STATE.yaw_rate],
-    )
-    f[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.wind], f[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.gust] = (
-        kept_w,
-        rise,
-    )
-    previous[IDENTIFICATION_STATE.gust], previous[IDENTIFICATION_STATE.push] = kept_g, kept_d
+        f[_STATE.yaw, j] = 0.5 * h * f[_STATE.yaw_rate, j]
+    f[_STATE.yaw, _STATE.yaw_rate] += 0.5 * h
+    f[_STATE.yaw, _STATE.yaw], moved[_STATE.yaw] = 1.0, 0.5 * h * moved[_STATE.yaw_rate]
+    f[_STATE.wind, _STATE.wind], f[_STATE.wind, _STATE.gust] = kept_w, rise
+    previous[_STATE.gust], previous[_STATE.push] = kept_g, kept_d
 
     for i in range(_MIXED):
         for j in range(_N):
@@ -260,14 +221,12 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     carry(f, previous, p, _transition())
     # stationary covariance calm [[1, 1], [1, both]], less what is left of it
     calm, both = square(q.wind_spread * gusts), 1.0 + q.wind_rise / q.wind_time
-    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.wind] += calm * (
-        1.0 - kept_w * kept_w - rise * (2.0 * kept_w + both * rise)
-    )
-    p[IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.gust] += calm * both * (1.0 - kept_g * kept_g)
-    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.gust] += calm * (1.0 - kept_g * (kept_w + both * rise))
-    p[IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.wind] += calm * (1.0 - kept_g * (kept_w + both * rise))
-    p[IDENTIFICATION_STATE.push, IDENTIFICATION_STATE.push] += square(q.push_spread) * (1.0 - kept_d * kept_d)
-    p[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.yaw_rate] += square(q.jolt) * h
+    p[_STATE.wind, _STATE.wind] += calm * (1.0 - kept_w * kept_w - rise * (2.0 * kept_w + both * rise))
+    p[_STATE.gust, _STATE.gust] += calm * both * (1.0 - kept_g * kept_g)
+    p[_STATE.wind, _STATE.gust] += calm * (1.0 - kept_g * (kept_w + both * rise))
+    p[_STATE.gust, _STATE.wind] += calm * (1.0 - kept_g * (kept_w + both * rise))
+    p[_STATE.push, _STATE.push] += square(q.push_spread) * (1.0 - kept_d * kept_d)
+    p[_STATE.yaw_rate, _STATE.yaw_rate] += square(q.jolt) * h
 
 
 @inlined
@@ -279,21 +238,19 @@ def _sense(sensor, q, speed, angle, x, h):
     for i in range(_N):
         h[i] = 0.0
     if sensor == OUTPUT.yaw_rate:
-        h[IDENTIFICATION_STATE.yaw_rate] = 1.0
-        return x[IDENTIFICATION_STATE.yaw_rate] + q.gyro_offset, q.noise_yaw_rate
+        h[_STATE.yaw_rate] = 1.0
+        return x[_STATE.yaw_rate] + q.gyro_offset, q.noise_yaw_rate
     if sensor == OUTPUT.vy:
-        h[IDENTIFICATION_STATE.vy], h[IDENTIFICATION_STATE.yaw_rate] = 1.0, q.vy_ahead
-        return x[IDENTIFICATION_STATE.vy] + q.vy_ahead * x[
-            IDENTIFICATION_STATE.yaw_rate
-        ] + q.vy_turned * speed, q.noise_vy
+        h[_STATE.vy], h[_STATE.yaw_rate] = 1.0, q.vy_ahead
+        return x[_STATE.vy] + q.vy_ahead * x[_STATE.yaw_rate] + q.vy_turned * speed, q.noise_vy
     if sensor == OUTPUT.yaw:
-        h[IDENTIFICATION_STATE.yaw] = 1.0
-        return x[IDENTIFICATION_STATE.yaw], q.noise_yaw
+        h[_STATE.yaw] = 1.0
+        return x[_STATE.yaw], q.noise_yaw
     front, slope_front, rear, slope_rear = _axles(q, x, angle)
     steady, slope = _wind(q, speed)
-    h[IDENTIFICATION_STATE.slip_front], h[IDENTIFICATION_STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
-    h[IDENTIFICATION_STATE.wind] = q.side * slope / q.mass
-    force = front + rear + q.side * (steady + slope * x[IDENTIFICATION_STATE.wind])
+    h[_STATE.slip_front], h[_STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
+    h[_STATE.wind] = q.side * slope / q.mass
+    force = front + rear + q.side * (steady + slope * x[_STATE.wind])
     return force / q.mass + q.acceleration_offset, q.noise_acceleration
 
 
@@ -390,9 +347,9 @@ def innovations(quantities, log, answer):
                 acting_here, wheels_now, _, _ = _steer(q, log, acting_here, wheels_now, q.dead_time, before, span)
         _compare(q, k, log, angle, x, p, answer)
         count = 2 * len(OUTPUT)
-        answer[count + FOUND.wind, k], answer[count + FOUND.wheel_angle, k] = x[IDENTIFICATION_STATE.wind], wheels_now
-        answer[count + FOUND.front_slip, k] = x[IDENTIFICATION_STATE.slip_front]
-        answer[count + FOUND.rear_slip, k] = x[IDENTIFICATION_STATE.slip_rear]
+        answer[count + FOUND.wind, k], answer[count + FOUND.wheel_angle, k] = x[_STATE.wind], wheels_now
+        answer[count + FOUND.front_slip, k] = x[_STATE.slip_front]
+        answer[count + FOUND.rear_slip, k] = x[_STATE.slip_rear]
         measured = log[LOG_ROW.wheel, k]
         if measured == measured:
             answer[OUTPUT.wheel, k] = measured - wheels_now / q.wheel_gain - q.wheel_offset

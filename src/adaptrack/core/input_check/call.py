@@ -14,18 +14,16 @@ from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, int64, vector, void
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2
+from .hypotheses import COMPARED, MISTAKES, SUBJECTS
 from .motion import compare_course, compare_forward, compare_sideways, judge_sliding
 from .pose import begin_pose, compare_pose
 from .record import (
-    COMPARED,
     CRAWLING,
     FEWEST,
     LONGEST,
-    MISTAKES,
     POSITION,
     SAMPLE,
     SLOW,
-    SUBJECTS,
     SUMMED,
     TICK,
     TICKS,
@@ -66,11 +64,11 @@ def _check_clock(sample, memory, settings):
             unit = MISTAKES.time_in_nanoseconds
             if step < 2e7:
                 unit = MISTAKES.time_in_milliseconds if step < 2e4 else MISTAKES.time_in_microseconds
-            report(memory, SUBJECTS.time, unit, step, way, speed)
+            report(memory, unit, step, way, speed)
     elif step > 0.0:
         memory.steps = 0
     if abs(speed) > 100.0:
-        report(memory, SUBJECTS.speed, MISTAKES.speed_of_no_car, speed, 0.0, 0.0)
+        report(memory, MISTAKES.speed_of_no_car, speed, 0.0, 0.0)
 
 
 # -- samples ----------------------------------------------------------------------------------------------------------
@@ -191,10 +189,8 @@ def _compare_positions(start, turning, memory, settings):
 def _compare_way(far, way, change, time, memory):
     """Compare the way of positions with that by the speed."""
     label = compare(memory, COMPARED.way, way, change, 0.0, far, POSITION, time)
-    if label == 1 + MISTAKES.speed_late:
-        report(memory, SUBJECTS.speed_late, MISTAKES.speed_late, 0.0, 0.0, 0.0)
-    elif label > 0:
-        report(memory, SUBJECTS.speed, label - 1, far / max(way, 1e-9), 0.0, 0.0)
+    if label > 0:
+        report(memory, label - 1, far / max(way, 1e-9), 0.0, 0.0)
 
 
 # -- calls ------------------------------------------------------------------------------------------------------------

@@ -12,8 +12,8 @@ from ..controllers.contract import wrapped
 from ..kernel import inlined
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2, sin
-from .hypotheses import DEGREE
-from .record import COMPARED, COURSES, MISTAKES, POSITION, SLOW, SUBJECTS, TICK, TICKS, T, is_reported, report
+from .hypotheses import COMPARED, DEGREE, MISTAKES, SUBJECTS
+from .record import COURSES, POSITION, SLOW, TICK, TICKS, T, is_reported, report
 from .regression import LOOKS, compare, honest_misfit
 
 GENTLE, ROUGH, STEEP = 2.5, 5.0, 6.0
@@ -54,7 +54,7 @@ def explain_course(memory):
         if most < least:
             mistake, least = MISTAKES.yaw_in_degrees + k, most
     row = memory.courses[memory.course]
-    report(memory, SUBJECTS.course, mistake, wrapped(row[0] - row[1]) / DEGREE, 0.0, 0.0)
+    report(memory, mistake, wrapped(row[0] - row[1]) / DEGREE, 0.0, 0.0)
 
 
 @inlined
@@ -150,7 +150,7 @@ def compare_forward(memory):
     if label == 0 and honest_misfit(memory, COMPARED.forward) > GRAVITY_EVIDENCE:
         label = memory.label[COMPARED.forward] = 1 + MISTAKES.longitudinal_acceleration_with_gravity
     if label > 0:
-        report(memory, SUBJECTS.forward, label - 1, memory.slow_acceleration, change, 0.0)
+        report(memory, label - 1, memory.slow_acceleration, change, 0.0)
 
 
 @inlined
@@ -179,7 +179,5 @@ def compare_sideways(aside, far, time, rate, sideways_speed, memory, settings):
     else:
         slip = -settings.slip * rate * speed * speed
         label = compare(memory, COMPARED.point, to_rear, to_front, slip, sideways, noise, last[T.time])
-    if label == 1 + MISTAKES.lateral_velocity_sign:
-        report(memory, SUBJECTS.lateral, label - 1, 0.0, 0.0, 0.0)
-    elif label > 0:
-        report(memory, SUBJECTS.point, label - 1, settings.lr, settings.lf, 0.0)
+    if label > 0:
+        report(memory, label - 1, settings.lr, settings.lf, 0.0)

@@ -15,7 +15,8 @@ from ..kernel import inlined, local
 from ..maths.exact import sqrt
 from ..maths.exponential import exp, hypot
 from ..maths.trigonometric import cos, sin
-from .record import CRAWLING, ERRORS, MISTAKES, MOVED, SUBJECTS, TICK, TICKS, T, is_reported, report
+from .hypotheses import MISTAKES, SUBJECTS
+from .record import CRAWLING, ERRORS, MOVED, TICK, TICKS, T, is_reported, report
 
 SPREADS = (0.03, 0.015, 0.7, 0.3, 0.004, 0.1, 0.1)
 """Standard deviations of `ERRORS` at the beginning; that of the slip relative to the slip of the car file."""
@@ -191,9 +192,9 @@ def _judge_drifts(memory, settings):
     if memory.drifting < DRIFTING_LOOKS or memory.steady < READY or _has_other_mistake(memory):
         return
     if worst_angle > 1.0:
-        report(memory, SUBJECTS.pose, MISTAKES.yaw_drifts, angle, 0.0, 0.0)
+        report(memory, MISTAKES.yaw_drifts, angle, 0.0, 0.0)
     else:
-        report(memory, SUBJECTS.pose, MISTAKES.position_drifts, distance, 0.0, 0.0)
+        report(memory, MISTAKES.position_drifts, distance, 0.0, 0.0)
 
 
 @inlined

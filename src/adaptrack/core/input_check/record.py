@@ -1,13 +1,12 @@
-"""Records of the check of a loop's inputs: the car, the memory of the check, and the mistakes that it recognises."""
+"""Records of the check of a loop's inputs: the car, and the memory of the check."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 from ..kernel import Row, columns, exported, fields_of, float64, inlined, int64, record, size_of, vector, viewer, void
 from ..maths.bits import left
 from ..models.car import CarRow
 from ..tracker.signals import TRACKER_SAMPLE
+from .hypotheses import ABOUT, BANKS, COMPARED, GRAMS_OF, SUBJECT_OF, SUBJECTS
 
 TICK, WINDOW, TICKS, FEWEST = 0.095, 4, 9, 4
 """s, between two looks at the samples; looks that a window spans, that are kept, and that are needed to compare."""
@@ -17,56 +16,13 @@ SLOW, CRAWLING = 3.0, 1.5
 """m/s: below the first only commands and drifts of the pose are compared, below the second nothing."""
 POSITION = 0.045
 """m, noise of a difference of two positions."""
-DELAYS, DELAY = 13, 0.05
-"""How many delays between a command and the turning of the car are tried, and their distance (s)."""
-BANKS = 4
-"""Models of the wheels, each with all delays: behind a lag; of a limited rate; the same with commands that are 4 times
-and 57 times as large as intended."""
-THROWN = 2 * DELAYS
-"""The first alternative of wheels that are thrown about by commands that are too large."""
 REQUESTED, CLOSEST = 64, 0.02
 """Commands that are kept; s, between two of them: what comes sooner replaces the last one."""
-SHIFTS, SHIFT = 13, 0.05
-"""How many differences of the clocks of yaw and yaw rate are tried, about none, and their distance (s)."""
 COURSES = 10
 """Directions of motion that are kept, with the yaw."""
-
-MISTAKES = columns(
-    "time_in_milliseconds", "time_in_microseconds", "time_in_nanoseconds",
-    "speed_of_no_car", "speed_in_km_h", "speed_in_miles_h", "speed_unit",
-    "speed_late",
-    "yaw_in_degrees", "y_mirrored", "yaw_from_north", "yaw_from_north_in_degrees", "yaw_quarter_too_large",
-    "yaw_quarter_too_small", "yaw_half_turn_off", "frames_differ", "yaw_in_degrees_by_its_rate",
-    "yaw_late",
-    "yaw_rate_sign", "yaw_rate_in_degrees", "yaw_rate_unit", "yaw_rate_taken_for_degrees",
-    "lateral_velocity_sign",
-    "position_of_rear_axle", "position_of_front_axle",
-    "lateral_acceleration_sign", "lateral_acceleration_in_g",
-    "wheel_angle_sign", "wheel_angle_in_degrees", "wheel_angle_of_steering_wheel",
-    "steering_sign", "command_too_small", "command_too_large",
-    "position_drifts", "yaw_drifts",
-    "steering_late",
-    "longitudinal_acceleration_sign", "longitudinal_acceleration_in_g", "longitudinal_acceleration_with_gravity",
-)  # fmt: skip
-"""Bits of `Memory.suspect`: mistakes of the inputs that are recognised."""
-_FIRST = (
-    MISTAKES.time_in_milliseconds, MISTAKES.speed_of_no_car, MISTAKES.speed_late, MISTAKES.yaw_in_degrees,
-    MISTAKES.yaw_late, MISTAKES.yaw_rate_sign, MISTAKES.lateral_velocity_sign, MISTAKES.position_of_rear_axle,
-    MISTAKES.lateral_acceleration_sign, MISTAKES.wheel_angle_sign, MISTAKES.steering_sign, MISTAKES.position_drifts,
-    MISTAKES.steering_late, MISTAKES.longitudinal_acceleration_sign, len(MISTAKES),
-)  # fmt: skip
-SUBJECTS = columns("time", "speed", "speed_late", "course", "yaw_late", "yaw_rate", "lateral", "point", "pull", "wheel",
-                   "steering", "pose", "delay", "forward")  # fmt: skip
-"""Subjects of mistakes: of each one mistake is reported."""
-ABOUT = tuple((1 << end) - (1 << first) for first, end in pairwise(_FIRST))
-"""The bits of each subject."""
 NUMBERS = 3
 """Measured numbers that go with a mistake, at most."""
 
-COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering", "clock", "forward")
-"""The comparisons."""
-GRAMS_OF = (1, 1, 1, 1, 1, 1, BANKS * DELAYS, BANKS * DELAYS, SHIFTS, 1)
-"""Alternatives of each comparison."""
 SAMPLE = columns(
     *fields_of(TRACKER_SAMPLE)[: TRACKER_SAMPLE.wheel_angle + 1],
     TRACKER_SAMPLE.field_settings["longitudinal_acceleration"],
@@ -139,8 +95,9 @@ Check = record("Check", (("settings", vector), ("memory", vector)))
 
 
 @inlined
-def report(memory, subject, mistake, a, b, c):
+def report(memory, mistake, a, b, c):
     """Report a mistake with the measured numbers, unless one of its subject was reported before."""
+    subject = SUBJECT_OF[mistake]
     if memory.suspect & ABOUT[subject] == 0:
         memory.suspect |= left(1, mistake)
         memory.measured[subject, 0], memory.measured[subject, 1], memory.measured[subject, 2] = a, b, c

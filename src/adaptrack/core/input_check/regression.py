@@ -13,8 +13,24 @@ from ..kernel import inlined, local
 from ..maths.bits import whole
 from ..maths.exact import clip
 from ..maths.exponential import exp
-from .hypotheses import EVIDENCE, FIRST, FIRST_GRAM, GAINS, HYPOTHESES, HYPOTHESIS, LEAST_EVIDENCE, RULE, RULES, SURE
-from .record import COMPARED, DELAY, DELAYS, GRAMS_OF, MISTAKES, THROWN
+from .hypotheses import (
+    COMPARED,
+    DELAY,
+    DELAYS,
+    EVIDENCE,
+    FIRST,
+    FIRST_GRAM,
+    GAINS,
+    GRAMS_OF,
+    HYPOTHESES,
+    HYPOTHESIS,
+    LEAST_EVIDENCE,
+    MISTAKES,
+    RULE,
+    RULES,
+    SURE,
+    THROWN,
+)
 
 MEMORY = 12.0
 """s, after which a window counts 1/e."""

@@ -7,7 +7,8 @@ import math
 from ..kernel import inlined
 from ..maths.exact import clip
 from ..maths.exponential import exp
-from .record import BANKS, CLOSEST, CRAWLING, INTEGRAL, LONGEST, REQUESTED, SLOW
+from .hypotheses import BANKS
+from .record import CLOSEST, CRAWLING, INTEGRAL, LONGEST, REQUESTED, SLOW
 
 LAG = 0.15
 """s, between a command and the turning of the car, in addition to the delays that are tried."""

@@ -7,24 +7,21 @@ import math
 from ..controllers.contract import wrapped
 from ..kernel import inlined, local
 from ..maths.exact import clip
-from .hypotheses import DEGREE, FIRST_GRAM, UNKNOWN_STEERING
-from .motion import ROUGH, SKID, course_turns, explain_course
-from .record import (
+from .hypotheses import (
     BANKS,
     COMPARED,
+    DEGREE,
     DELAY,
     DELAYS,
-    INTEGRAL,
+    FIRST_GRAM,
     MISTAKES,
     SHIFT,
     SHIFTS,
     SUBJECTS,
-    TICKS,
-    WINDOW,
-    T,
-    is_reported,
-    report,
+    UNKNOWN_STEERING,
 )
+from .motion import ROUGH, SKID, course_turns, explain_course
+from .record import INTEGRAL, TICKS, WINDOW, T, is_reported, report
 from .regression import LOOKS, add_window, compare, judge, late_steering, start_window
 from .requests import LAG, back_to, command_range, left_of_beginning, requested
 
@@ -61,14 +58,10 @@ def compare_turn(turned, rates, first, time, memory):
         return
     if label == 1 + MISTAKES.yaw_in_degrees_by_its_rate and memory.confirmed > 0:
         label = 1 + MISTAKES.yaw_rate_taken_for_degrees
-    if label == 1 + MISTAKES.yaw_late:
-        report(memory, SUBJECTS.yaw_late, MISTAKES.yaw_late, 0.0, 0.0, 0.0)
-    elif label == 1 + MISTAKES.yaw_in_degrees_by_its_rate:
-        report(memory, SUBJECTS.course, MISTAKES.yaw_in_degrees_by_its_rate, 0.0, 0.0, 0.0)
-    elif label == 1 + MISTAKES.yaw_rate_sign and course_turns(memory) * turned < 0.0:
+    if label == 1 + MISTAKES.yaw_rate_sign and course_turns(memory) * turned < 0.0:
         explain_course(memory)
     else:
-        report(memory, SUBJECTS.yaw_rate, label - 1, turned, rates, 0.0)
+        report(memory, label - 1, turned, rates, 0.0)
 
 
 @inlined
@@ -81,7 +74,7 @@ def compare_pull(memory):
     if math.isfinite(pull) and calm and not is_reported(memory, SUBJECTS.yaw_rate):
         label = compare(memory, COMPARED.pull, turning, 0.0, 0.0, pull, 0.4, last[T.time])
         if label > 0:
-            report(memory, SUBJECTS.pull, label - 1, pull, turning, 0.0)
+            report(memory, label - 1, pull, turning, 0.0)
 
 
 # -- clocks -----------------------------------------------------------------------------------------------------------
@@ -118,7 +111,7 @@ def compare_clocks(memory):
         add_window(memory.grams[FIRST_GRAM[COMPARED.clock] + k], left, 1.0 / YAW_NOISE, x, 0.0, 0.0, y)
     if judge(memory, COMPARED.clock, COMPARED.clock, 1.0, False) > 0:
         memory.label[COMPARED.turn] = 1 + MISTAKES.yaw_late
-        report(memory, SUBJECTS.yaw_late, MISTAKES.yaw_late, 0.0, 0.0, 0.0)
+        report(memory, MISTAKES.yaw_late, 0.0, 0.0, 0.0)
 
 
 # -- steering ---------------------------------------------------------------------------------------------------------
@@ -150,10 +143,8 @@ def _compare_wheels(last, middle, span, memory):
     wheel = (last[T.wheel] * last[T.time] + middle[T.wheel] * middle[T.time]) / span
     _add_delayed(memory, COMPARED.wheel, wheel, 0.004, span)
     label = judge(memory, COMPARED.wheel, COMPARED.wheel, 1.0, False)
-    if label > MISTAKES.steering_sign:
-        report(memory, SUBJECTS.steering, label - 1, 0.0, 0.0, 0.0)
-    elif label > 0:
-        report(memory, SUBJECTS.wheel, label - 1, wheel, memory.command, 0.0)
+    if label > 0:
+        report(memory, label - 1, wheel, memory.command, 0.0)
 
 
 @inlined
@@ -177,7 +168,7 @@ def _compare_range(rate, last, memory, settings):
     memory.beyond = memory.beyond + 1 if too_large or too_small else 0
     if memory.beyond >= LOOKS:
         mistake = MISTAKES.command_too_large if too_large else MISTAKES.command_too_small
-        report(memory, SUBJECTS.steering, mistake, 0.0, 0.0, 0.0)
+        report(memory, mistake, 0.0, 0.0, 0.0)
 
 
 @inlined
@@ -204,10 +195,10 @@ def compare_steering(turned, rates, aside, memory, settings):
     label = judge(memory, COMPARED.steering, hypotheses, 3.0 if has_wheel else 1.0, sure)  # wheels that are measured
     is_skid = label == 1 + MISTAKES.command_too_large and memory.skid > SKID
     if label > 0 and not is_skid:  # show it themselves
-        report(memory, SUBJECTS.steering, label - 1, 0.0, 0.0, 0.0)
+        report(memory, label - 1, 0.0, 0.0, 0.0)
         if label == 1 + MISTAKES.steering_sign:
             memory.against_steering = 1
     elif label == 0 and settings.known > 0.0 and settings.delay < math.inf:
         delay = late_steering(memory, LAG, settings.delay + LATEST)
         if delay > 0.0:
-            report(memory, SUBJECTS.delay, MISTAKES.steering_late, delay, settings.delay, 0.0)
+            report(memory, MISTAKES.steering_late, delay, settings.delay, 0.0)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..input_check.record import MISTAKES, SUBJECTS, memory_of, report
+from ..input_check.hypotheses import MISTAKES
+from ..input_check.record import memory_of, report
 from ..kernel import Place, exported, fields_of, inlined, packer, record, rows, vector, void
 from ..layout import empty
 from ..maths.bits import whole
@@ -175,9 +176,9 @@ def _report(check, memory):
     """Report a place that has jumped, and a scale of the speed that is far off."""
     inputs = memory_of(check.memory, 0)
     if memory.jump > 0.0:
-        report(inputs, SUBJECTS.pose, MISTAKES.position_drifts, memory.jump, 0.0, 0.0)
+        report(inputs, MISTAKES.position_drifts, memory.jump, 0.0, 0.0)
     if abs(memory.scale) > SUSPECT_SCALE and memory.p_scale < square(KNOWN_SCALE_SIGMA):
-        report(inputs, SUBJECTS.speed, MISTAKES.speed_unit, 1.0 + memory.scale, 0.0, 0.0)
+        report(inputs, MISTAKES.speed_unit, 1.0 + memory.scale, 0.0, 0.0)
 
 
 @inlined
