@@ -69,15 +69,12 @@ def some_tunings(seed, n):
     )
 
 
-@pytest.mark.parametrize(
-    ("tuning", "ages"),
-    [
-        *((tuning, {}) for tuning in ((35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0))),
-        ((12, 2, 1.0, 3e3), {}),
-        ((35, 5, 1.0, 1e4), {"pose_age": 0.07, "motion_age": 0.03}),
-        ((35, 5, 1.0, 1e4), {"pose_age": 0.1}),
-    ],
-)
+@pytest.mark.parametrize(("tuning", "ages"), [
+    *((tuning, {}) for tuning in ((35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0))),
+    ((12, 2, 1.0, 3e3), {}),
+    ((35, 5, 1.0, 1e4), {"pose_age": 0.07, "motion_age": 0.03}),
+    ((35, 5, 1.0, 1e4), {"pose_age": 0.1}),
+])  # fmt: skip
 @pytest.mark.parametrize("speed", [12.0, 24.0])
 def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, ages, speed):
     """Whether it dies or grows: so it does at the rate of the spectral radius."""

@@ -111,18 +111,15 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
 
 
 # -- what is asked for ------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"budget": 5}, "give at least 10"),
-        ({"training": ["country:1"]}, "is a test road as well"),
-        ({"training_seeds": [1]}, "is a noise seed of the test drives as well"),
-        ({"contenders": ["informd"]}, "informed"),
-        ({"contender": ["informed"]}, "contender"),
-        ({"cars": []}, "cars"),
-        ({"contenders": ["nowhere.toml"]}, "cannot be read"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"budget": 5}, "give at least 10"),
+    ({"training": ["country:1"]}, "is a test road as well"),
+    ({"training_seeds": [1]}, "is a noise seed of the test drives as well"),
+    ({"contenders": ["informd"]}, "informed"),
+    ({"contender": ["informed"]}, "contender"),
+    ({"cars": []}, "cars"),
+    ({"contenders": ["nowhere.toml"]}, "cannot be read"),
+])  # fmt: skip
 def test_a_comparison_that_cannot_be_fair_is_refused_with_the_key(changes: dict[str, Any], words: str, tmp_path: Path):
     from adaptrack.base.files import write_toml
 

@@ -111,18 +111,15 @@ class TestLaneChange:
             v -= step * (roll + drag * v * v) / v
         assert plan.speed[-1] == pytest.approx(v, rel=1e-4)
 
-    @pytest.mark.parametrize(
-        ("make", "words"),
-        [
-            (lambda: track_road(iso_3888_2(1.5), BOX), "does not fit through iso-3888-2"),
-            (lambda: track_road(iso_3888_2(1.8), BOX, bend=0), "bend = 0"),
-            (lambda: iso_3888_1(0), "width = 0"),
-            (lambda: scan_speeds(lambda speed: None, [2.0, 1.0]), "must increase"),
-            (lambda: clearance(LANE, BOX, *straight(0.0)[:2], [0.0]), "n >= 2"),
-            (lambda: coasting_plan(LANE, ROAD, load_vehicle("van"), 3.0), "stops before the end"),
-            (lambda: tune_for_track(None, "mine", None, 12.0), "no search"),
-        ],
-    )
+    @pytest.mark.parametrize(("make", "words"), [
+        (lambda: track_road(iso_3888_2(1.5), BOX), "does not fit through iso-3888-2"),
+        (lambda: track_road(iso_3888_2(1.8), BOX, bend=0), "bend = 0"),
+        (lambda: iso_3888_1(0), "width = 0"),
+        (lambda: scan_speeds(lambda speed: None, [2.0, 1.0]), "must increase"),
+        (lambda: clearance(LANE, BOX, *straight(0.0)[:2], [0.0]), "n >= 2"),
+        (lambda: coasting_plan(LANE, ROAD, load_vehicle("van"), 3.0), "stops before the end"),
+        (lambda: tune_for_track(None, "mine", None, 12.0), "no search"),
+    ])  # fmt: skip
     def test_impossible_input_is_refused(self, make, words):
         with pytest.raises(InvalidInput, match=words):
             make()

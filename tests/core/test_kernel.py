@@ -79,15 +79,12 @@ def test_an_exported_kernel_answers_as_its_python_does():
 
 
 @needs_compiled
-@pytest.mark.parametrize(
-    ("arguments", "why"),
-    [
-        (np.zeros(3, np.float32), "need an array of 1 dimensions, float64"),
-        (np.zeros((2, 2)), "need an array of 1 dimensions, float64"),
-        (np.zeros(6)[::2], "C-contiguous"),
-        ([0.0, 1.0], "need an array"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "why"), [
+    (np.zeros(3, np.float32), "need an array of 1 dimensions, float64"),
+    (np.zeros((2, 2)), "need an array of 1 dimensions, float64"),
+    (np.zeros(6)[::2], "C-contiguous"),
+    ([0.0, 1.0], "need an array"),
+])  # fmt: skip
 def test_an_array_that_is_not_what_a_kernel_takes_is_refused(arguments, why):
     with pytest.raises(TypeError, match=why):
         vector.convert(arguments)
@@ -141,14 +138,11 @@ def test_a_library_that_is_not_what_was_built_is_never_loaded(built, harm):
     assert path.name in why
 
 
-@pytest.mark.parametrize(
-    ("file", "stale", "is_current"),
-    [
-        ("core/controllers/stanley.py", {"stanley"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
-        ("core/controllers/predicted_path.py", {"kinematic_mpc", "preview_lqr"}, {"stanley", "lqr", "mpc_step"}),
-        ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"stanley", "preview_lqr", "lqr"}),
-    ],
-)
+@pytest.mark.parametrize(("file", "stale", "is_current"), [
+    ("core/controllers/stanley.py", {"stanley"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
+    ("core/controllers/predicted_path.py", {"kinematic_mpc", "preview_lqr"}, {"stanley", "lqr", "mpc_step"}),
+    ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"stanley", "preview_lqr", "lqr"}),
+])  # fmt: skip
 def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, is_current):
     if not isinstance(library.loaded(), library.Library) or library.loaded().edited:
         pytest.skip("needs the library of these sources")

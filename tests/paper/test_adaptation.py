@@ -52,15 +52,12 @@ def contents(folder):
 
 
 # -- the task ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"operating_points": {"kind": "paper-grid"}}, "Sobol sample"),
-        ({"scenario": "step"}, "scenario = 'step'"),
-        ({"duration": 6.0}, "duration = 6.0"),
-        ({"move_weight": 1.0}, "move_weight = 1.0"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"operating_points": {"kind": "paper-grid"}}, "Sobol sample"),
+    ({"scenario": "step"}, "scenario = 'step'"),
+    ({"duration": 6.0}, "duration = 6.0"),
+    ({"move_weight": 1.0}, "move_weight = 1.0"),
+])  # fmt: skip
 def test_a_campaign_from_which_schedules_cannot_learn_is_refused(tmp_path, changes, words):
     with pytest.raises(InvalidInput, match=f"'pond'.*{words}"):
         task_of(tmp_path, **changes)

@@ -392,14 +392,11 @@ def test_noise_is_new_in_every_round_and_never_that_of_the_scores(seed):
     assert not set(rounds) & set(judge.seeds)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"inputs": ("speed", "offset")}, "offset"),
-        ({"inputs": ("speed", "grip")}, "'grip'.*friction"),
-        ({"surfaces": {"Np": Level(30.0)}}, "Np, Nc, log10_ratio"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"inputs": ("speed", "offset")}, "offset"),
+    ({"inputs": ("speed", "grip")}, "'grip'.*friction"),
+    ({"surfaces": {"Np": Level(30.0)}}, "Np, Nc, log10_ratio"),
+])  # fmt: skip
 def test_a_missing_surface_and_an_input_unknown_before_driving_are_refused(changes, words):
     with pytest.raises(InvalidInput, match=words):
         improve(replace(beginning("constant"), **changes), [], [])
