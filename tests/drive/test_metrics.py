@@ -270,9 +270,6 @@ def test_known_measures_have_a_line_with_title_and_unit():
     [
         (lambda: path_record(offset=np.zeros(3)), r"offset has the shape \(3,\)"),
         (lambda: PathRecord(np.zeros(5), *[0.0] * 5), "increasing times"),
-        (lambda: path_metrics(path_record(), BOX, lane_width=0), "lane_width = 0"),
-        (lambda: compute_metrics(record(), move_weight=-1.0), "move_weight = -1"),
-        (lambda: compute_metrics(record(), move_weight=NAN), "move_weight = nan"),
         (lambda: load_vehicle("paper").replace(body=Body(length=2.5)), "does not hold wheelbase"),
         (lambda: load_vehicle("paper").replace(body=Body(length=4.5, front_overhang=1.0, rear_overhang=1.5)),
          "leave one out"),

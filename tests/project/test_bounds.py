@@ -153,11 +153,11 @@ class Bound(NamedTuple):
         return f"{self.argument} {self.sign} {self.value:.6g}"
 
     def refused(self) -> list[Any]:
-        """The value next to the end on its wrong side, as a float and, for bounds of whole numbers, as an int."""
+        """No number, and what is next to the end on its wrong side: a float and, at a whole number, an int."""
         is_low, is_open = self.sign[0] == ">", len(self.sign) == 1
         beyond = self.value if is_open else math.nextafter(self.value, -math.inf if is_low else math.inf)
         whole = int(self.value) + (0 if is_open else -1 if is_low else 1)
-        return [beyond, whole] if float(self.value).is_integer() else [beyond]
+        return [math.nan, beyond, *([whole] if float(self.value).is_integer() else [])]
 
     def arguments(self, value: Any) -> dict[str, Any]:
         """The argument with this value, the other entry of a pair within its bounds."""
