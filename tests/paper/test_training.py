@@ -26,14 +26,6 @@ def tuned(conditions, noise=0.0):
     return plain(conditions, tunings=np.column_stack((Np, Nc, Q, R)), provenance={"name": "smooth", "identity": "abc"})
 
 
-@pytest.fixture(scope="module", autouse=True)
-def few_trees():
-    """A ceiling that takes a fifth of the time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "TREES", 60)
-        yield
-
-
 @pytest.fixture
 def no_ceiling(monkeypatch):
     """No boosted trees: their predictions are the truth."""

@@ -108,7 +108,7 @@ def stop(*_):
 
 IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
     "KinematicMPC": (lambda **given: at.KinematicMPC(CAR, **given),
-                     "cutoff [0, inf); stages [1, inf); step period (0, inf); computation [0, 1]"),
+                     "cutoff [0, inf); stages [1, 100]; step period (0, inf); computation [0, 1]"),
     "LQR": (lambda **given: at.LQR(CAR, **given), "preview_time [0, inf); period (0, inf)"),
     "PreviewLQR": (lambda **given: at.PreviewLQR(CAR, **given),
                    "q_e q_heading r period (0, inf); ahead (-inf, 10]; computation [0, 1]"),
