@@ -12,7 +12,7 @@ from adaptrack.paper.operating_points import POINT_NAMES, fold, grid, mirrored, 
 from small_data import plain
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
-OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}
+OPTIONS = {"nn": {"solver": "adam", "epochs": 60, "batch_size": 30, "learning_rate": 0.02}, "anfis": {"epochs": 3}}
 
 
 def tuned(conditions, noise=0.0):
