@@ -1,7 +1,10 @@
 """C sources of an export, compiled and called from the tests."""
 
 import ctypes
+import hashlib
 import math
+import os
+import re
 import subprocess
 import zlib
 from functools import cache
@@ -109,17 +112,39 @@ class Plan(ctypes.Structure):
     _fields_ = (("s", ctypes.c_void_p), ("speed", ctypes.c_void_p), ("count", ctypes.c_size_t))
 
 
+def text_with_headers(source, folder):
+    """The text of a C source and of all headers of its export that it includes."""
+    texts, names = [], [source]
+    for path in names:
+        texts.append(path.read_text())
+        places = [place / name for name in re.findall(r'#include "(.+)"', texts[-1]) for place in folder]
+        names += [place for place in places if place.exists() and place not in names]
+    return "\0".join(texts)
+
+
+def link_export(folder):
+    """A shared library of an export; what exports of this session have in common is compiled once."""
+    command = [find_program("gcc"), *STRICT, "-O0", *EXACT_OPTIONS, "-fPIC", f"-I{folder}/include"]
+    session = next((parent for parent in folder.parents if re.fullmatch(r"pytest-\d+", parent.name)), folder)
+    objects, library = [], folder / "tracker.so"
+    for source in sorted((folder / "src").glob("*.c")):
+        text = text_with_headers(source, (folder / "src", folder / "include"))
+        objects.append(session / f"{hashlib.sha256(text.encode()).hexdigest()}.o")
+        if not objects[-1].exists():
+            part = folder / f"{source.stem}.o"
+            process = subprocess.run([*command, "-c", source, "-o", part], capture_output=True, text=True)
+            assert process.returncode == 0, process.stderr
+            os.replace(part, objects[-1])  # other processes compile it, too
+    subprocess.run([*command, "-shared", *objects, "-o", library], check=True)
+    return library
+
+
 class Exported:
     """An export, linked into a shared library."""
 
     def __init__(self, folder, controller):
         self.folder, self.controller = folder, controller
-        sources = map(str, sorted((folder / "src").glob("*.c")))
-        command = [find_program("gcc"), *STRICT, "-O0", *EXACT_OPTIONS, "-shared", "-fPIC", f"-I{folder}/include",
-                   *sources, "-o", str(folder / "tracker.so")]  # fmt: skip
-        process = subprocess.run(command, capture_output=True, text=True)
-        assert process.returncode == 0, process.stderr
-        self.c = ctypes.CDLL(str(folder / "tracker.so"))
+        self.c = ctypes.CDLL(str(link_export(folder)))
         for name in ("size", "path_size", "state_size"):
             getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
         self.constants = (folder / "constants.bin").read_bytes()

@@ -125,17 +125,14 @@ def test_mismatches_count_as_further_cars():
     assert both.margins[-1, 0, 0] == pytest.approx(min(by), abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"speed": (9.0, 5.0)}, "speed = .9.0, 5.0.: must be .* low <= high"),
-        ({"friction": (0.0, 1.0)}, "friction.0. = 0.0: must be a finite number > 0"),
-        ({"speed": (5.0, 1e300)}, "at most 100 m/s"),
-        ({"margin": 1.0}, "margin = 1"),
-        ({"nodes": ((70.0,), (5.0,), (3.0,))}, "no tuning"),
-        ({"nodes": ((5.0,), (8.0,), (3.0,))}, "no tuning"),
-    ],
-)
+@pytest.mark.parametrize(("options", "words"), [
+    ({"speed": (9.0, 5.0)}, "speed = .9.0, 5.0.: must be .* low <= high"),
+    ({"friction": (0.0, 1.0)}, "friction.0. = 0.0: must be a finite number > 0"),
+    ({"speed": (5.0, 1e300)}, "at most 100 m/s"),
+    ({"margin": 1.0}, "margin = 1"),
+    ({"nodes": ((70.0,), (5.0,), (3.0,))}, "no tuning"),
+    ({"nodes": ((5.0,), (8.0,), (3.0,))}, "no tuning"),
+])  # fmt: skip
 def test_what_makes_no_sense_is_refused(options, words):
     with pytest.raises(InvalidInput, match=words):
         feasibility(PLANT, PUBLISHED, "road", **options)

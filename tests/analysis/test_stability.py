@@ -8,22 +8,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
-from adaptrack import (
-    MPC,
-    DualTrack,
-    InvalidInput,
-    Moves,
-    SingleTrack,
-    Steering,
-    Tuning,
-    UserEstimator,
-    UserPlant,
-    compute_metrics,
-    load_scenario,
-    load_tyre,
-    load_vehicle,
-    published_mpc,
-)
+import adaptrack as at
 from adaptrack.analysis.linearisation import (
     EstimatorAt,
     LinearControllers,
@@ -48,11 +33,11 @@ from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import RunSet
 
 pytestmark = pytest.mark.compiled
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 PAPER, ROAD = load_profile("paper"), load_profile("road")
 QUIET = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
-PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), published_mpc(CAR, period=0.05)
-INFORMED = MPC(CAR, profile="road")
+PLANT, ROAD_MPC = at.DualTrack(CAR, "magic-formula"), at.published_mpc(CAR, period=0.05)
+INFORMED = at.MPC(CAR, profile="road")
 
 
 def straight_and_turn(speed, friction):
@@ -69,15 +54,12 @@ def some_tunings(seed, n):
     )
 
 
-@pytest.mark.parametrize(
-    ("tuning", "ages"),
-    [
-        *((tuning, {}) for tuning in ((35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0))),
-        ((12, 2, 1.0, 3e3), {}),
-        ((35, 5, 1.0, 1e4), {"pose_age": 0.07, "motion_age": 0.03}),
-        ((35, 5, 1.0, 1e4), {"pose_age": 0.1}),
-    ],
-)
+@pytest.mark.parametrize(("tuning", "ages"), [
+    *((tuning, {}) for tuning in ((35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0))),
+    ((12, 2, 1.0, 3e3), {}),
+    ((35, 5, 1.0, 1e4), {"pose_age": 0.07, "motion_age": 0.03}),
+    ((35, 5, 1.0, 1e4), {"pose_age": 0.1}),
+])  # fmt: skip
 @pytest.mark.parametrize("speed", [12.0, 24.0])
 def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, ages, speed):
     """Whether it dies or grows: so it does at the rate of the spectral radius."""
@@ -85,7 +67,7 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, ages,
     scenario = Scenario(
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
-    mpc = published_mpc(CAR, Tuning(*tuning), period=0.05)
+    mpc = at.published_mpc(CAR, at.Tuning(*tuning), period=0.05)
     run = rollout(PLANT, mpc, scenario, profile=QUIET.replace(**ages), failure=FailureLimits(math.inf, math.inf)).Y
     law = laws(mpc, speed, tuning)
     body, prompt = (sampled(PLANT, 0.05, speed, friction=0.75, profile=p) for p in (ROAD.replace(**ages), ROAD))
@@ -111,7 +93,7 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, ages,
 @pytest.mark.parametrize("speed", [8.0, 24.0])
 def test_samples_that_are_all_late_act_as_dead_time_of_the_commands(speed):
     """The controller without an estimator knows of neither, and in a loop it does not matter where the delay is."""
-    tuning, late = Tuning(35, 5, 1.0, 1e4).as_array(), ROAD.replace(pose_age=0.1, motion_age=0.1)
+    tuning, late = at.Tuning(35, 5, 1.0, 1e4).as_array(), ROAD.replace(pose_age=0.1, motion_age=0.1)
     law = laws(ROAD_MPC, speed, tuning)
     by_samples = margins(sampled(PLANT, 0.05, speed, profile=late), law, 0.05)
     by_commands = margins(sampled(PLANT, 0.05, speed, profile="road", delay=0.1), law, 0.05)
@@ -122,7 +104,7 @@ def test_samples_that_are_all_late_act_as_dead_time_of_the_commands(speed):
 @pytest.mark.parametrize("ages", [(0.0, 0.0), (0.1, 0.0), (0.12, 0.0), (0.1, 0.1), (0.12, 0.12)])
 def test_the_linear_estimator_is_the_filter_with_samples_of_these_ages(ages, rng):
     """Over a second of small random measurements and commands, after the filter has settled."""
-    filtering = EstimatorAt(MPC(CAR, profile="production"), 15.0, SampleAges(*ages))
+    filtering = EstimatorAt(at.MPC(CAR, profile="production"), 15.0, SampleAges(*ages))
     linear, memory = filtering.straight, np.zeros(filtering._memory)
     for k in range(4000):
         filtering._step(np.array([*[(-1) ** k * 1e-30] * 6, *ages, 0.0]), 0.0, memory)
@@ -139,7 +121,9 @@ def test_the_linear_estimator_is_the_filter_with_samples_of_these_ages(ages, rng
 
 
 # -- the steady turn --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("plant", [PLANT, SingleTrack(CAR, "magic-formula"), DualTrack(load_vehicle("midsize-sedan"))])
+@pytest.mark.parametrize(
+    "plant", [PLANT, at.SingleTrack(CAR, "magic-formula"), at.DualTrack(at.load_vehicle("midsize-sedan"))]
+)
 def test_in_a_steady_turn_nothing_changes_but_place_and_heading(plant):
     for speed, friction in product((3.0, 12.0, 30.0), (0.3, 1.0)):
         acceleration = hard_turn(speed, friction)
@@ -156,7 +140,7 @@ def test_in_a_steady_turn_nothing_changes_but_place_and_heading(plant):
 
 
 def test_in_a_turn_tyres_are_softer_and_an_aggressive_loop_becomes_unstable():
-    aggressive, sound = Tuning(28, 8, 1.0, 2800.0), Tuning(38, 4, 1.0, 8000.0)
+    aggressive, sound = at.Tuning(28, 8, 1.0, 2800.0), at.Tuning(38, 4, 1.0, 8000.0)
     for tuning, unstable in ((aggressive, True), (sound, False)):
         assert spectral_radius(PLANT, ROAD_MPC, 24.0, tuning=tuning, profile="road") < 1.0
         turn = hard_turn(24.0, 0.6)
@@ -173,19 +157,21 @@ def test_in_a_turn_tyres_are_softer_and_an_aggressive_loop_becomes_unstable():
 
 
 def test_the_relaxation_of_its_tyres_makes_the_vans_loop_unstable_unless_the_model_contains_it():
-    van, profile = load_vehicle("van"), load_profile("production").without_sample_ages
-    plant, mpc = DualTrack(van), MPC(van, profile=profile)
+    van, profile = at.load_vehicle("van"), load_profile("production").without_sample_ages
+    plant, mpc = at.DualTrack(van), at.MPC(van, profile=profile)
     relaxation = mpc.model.dead_time - profile.dead_time
-    unaware = MPC(van, profile=profile, belief=Steering(lag=0.2, dead_time=profile.steering.dead_time - relaxation))
+    unaware = at.MPC(
+        van, profile=profile, belief=at.Steering(lag=0.2, dead_time=profile.steering.dead_time - relaxation)
+    )
     assert unaware.model.dead_time == pytest.approx(profile.dead_time)
-    rigid = DualTrack(van, plant.tyre.replace(relaxation_length=0.0))
+    rigid = at.DualTrack(van, plant.tyre.replace(relaxation_length=0.0))
     stable = {
         (tyres, model): spectral_radius(car, controller, 27.0, profile=profile) < 1.0
         for tyres, car in (("relaxing", plant), ("rigid", rigid))
         for model, controller in (("aware", mpc), ("unaware", unaware))
     }
     assert [loop for loop, is_stable in stable.items() if not is_stable] == [("relaxing", "unaware")]
-    assert MPC(van, profile="road").model.dead_time == ROAD.dead_time  # the lateral velocity is measured
+    assert at.MPC(van, profile="road").model.dead_time == ROAD.dead_time  # the lateral velocity is measured
 
 
 def wandering(x, u, environment, p, dx):
@@ -203,11 +189,11 @@ def wandering(x, u, environment, p, dx):
 
 
 def test_a_mode_that_never_reaches_what_is_measured_does_not_count():
-    plant = UserPlant(wandering, {"cf": 38000.0, "cr": 66000.0, "mass": 1575.0}, mass=1575.0, own_states=("unseen",))
+    plant = at.UserPlant(wandering, {"cf": 38000.0, "cr": 66000.0, "mass": 1575.0}, mass=1575.0, own_states=("unseen",))
     names, _, _ = linearised(plant, 15.0)
     assert "unseen" not in names
     assert "X" not in names
-    assert spectral_radius(plant, published_mpc(CAR, Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
+    assert spectral_radius(plant, at.published_mpc(CAR, at.Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
 
 
 class Stepped(SteppedPlant):
@@ -219,16 +205,18 @@ class Stepped(SteppedPlant):
 
 
 def test_what_has_no_linear_loop_is_refused():
-    with pytest.raises(InvalidInput, match="stepped"):
+    with pytest.raises(at.InvalidInput, match="stepped"):
         sampled(Stepped(), 0.05, 15.0)
-    with pytest.raises(InvalidInput, match=r"2 periods before it is given"):
+    with pytest.raises(at.InvalidInput, match=r"2 periods before it is given"):
         sampled(PLANT, 0.05, 15.0, profile="paper", delay=-0.1)
-    with pytest.raises(InvalidInput, match=r"samples are 0.1 s old, and the controller's filter takes in none older"):
+    with pytest.raises(
+        at.InvalidInput, match=r"samples are 0.1 s old, and the controller's filter takes in none older"
+    ):
         spectral_radius(PLANT, INFORMED, 15.0, profile="production")
-    feels = MPC(
+    feels = at.MPC(
         CAR, period=0.05, model=PathModel(CAR, 0.05, 0.1), estimator=KalmanFilter(SensorNoise(wheel_angle=0.01))
     )
-    with pytest.raises(InvalidInput, match="reads wheel_angle"):
+    with pytest.raises(at.InvalidInput, match="reads wheel_angle"):
         spectral_radius(PLANT, feels, 15.0, profile="paper")
 
 
@@ -237,7 +225,7 @@ def lagging(pole, gain):
     """A body y(k+1) = pole y(k) + u(k) and the law u = w, w growing by -gain y: L = gain / ((z - pole)(z - 1))."""
     y = np.zeros((len(sensed()), 1))
     y[3] = 1.0
-    law = LinearControllers(linear_estimator(published_mpc(CAR), 10.0), np.array([[0, 0, 0, -gain, gain]]))
+    law = LinearControllers(linear_estimator(at.published_mpc(CAR), 10.0), np.array([[0, 0, 0, -gain, gain]]))
     return Sampled(np.array([[pole]]), np.ones(1), y), law
 
 
@@ -317,9 +305,9 @@ def sensed_row(measured):
 
 def informed_mpc(lag=0.15, dead_time=0.05, noise=ROAD_SENSORS, moves=None):
     model = PathModel(CAR, 0.05, lag, dead_time)
-    return MPC(
+    return at.MPC(
         CAR,
-        Tuning(25, 6, 1.0, 4.0),
+        at.Tuning(25, 6, 1.0, 4.0),
         period=0.05,
         model=model,
         estimator=KalmanFilter(noise, settling=math.inf),
@@ -339,13 +327,13 @@ def smoothed(speed, measured, command, a, b, parameters, memory, x, d):
 
 
 def with_estimator(of):
-    return MPC(CAR, Tuning(25, 6, 1.0, 4000.0), period=0.05, estimator=of)
+    return at.MPC(CAR, at.Tuning(25, 6, 1.0, 4000.0), period=0.05, estimator=of)
 
 
 @pytest.mark.parametrize("mpc", [
-    ROAD_MPC, informed_mpc(), informed_mpc(0.2, 0.13, WITHOUT_VY), informed_mpc(moves=Moves.laguerre(0.8, 4)),
-    with_estimator(UserEstimator(as_measured)),
-    with_estimator(UserEstimator(smoothed, parameters={"share": 0.3}, memory_size=4)),
+    ROAD_MPC, informed_mpc(), informed_mpc(0.2, 0.13, WITHOUT_VY), informed_mpc(moves=at.Moves.laguerre(0.8, 4)),
+    with_estimator(at.UserEstimator(as_measured)),
+    with_estimator(at.UserEstimator(smoothed, parameters={"share": 0.3}, memory_size=4)),
 ])  # fmt: skip
 def test_the_law_gives_the_commands_of_the_controller(mpc):
     """Its own steps, settled, for small measurements; the QP far from its limits."""
@@ -390,12 +378,12 @@ def test_no_loop_that_is_certified_stable_grows_in_the_simulator(name, by):
 # -- another car ------------------------------------------------------------------------------------------------------
 def test_a_mismatch_is_the_plant_with_those_numbers():
     heavy = CAR.replace(mass=1.3 * CAR.mass, yaw_inertia=1.3 * CAR.yaw_inertia)
-    soft = load_tyre("magic-formula").replace(stiffness_front=19000.0 / 1.6, stiffness_rear=33000.0 / 1.6)
+    soft = at.load_tyre("magic-formula").replace(stiffness_front=19000.0 / 1.6, stiffness_rear=33000.0 / 1.6)
     slow = ROAD.replace(steering=ROAD.steering.replace(lag=0.25))
     for by, (plant, world, late) in {
         Mismatch(): (PLANT, ROAD, 0.0),
-        Mismatch(mass=1.3): (DualTrack(heavy, "magic-formula"), ROAD, 0.0),
-        Mismatch(stiffness=1.0 / 1.6): (DualTrack(CAR, soft), ROAD, 0.0),
+        Mismatch(mass=1.3): (at.DualTrack(heavy, "magic-formula"), ROAD, 0.0),
+        Mismatch(stiffness=1.0 / 1.6): (at.DualTrack(CAR, soft), ROAD, 0.0),
         Mismatch(lag=0.1): (PLANT, slow, 0.0),
         Mismatch(dead_time=0.07): (PLANT, ROAD, 0.07),
         Mismatch(dead_time=-0.05): (PLANT, ROAD.replace(delay=0.0), 0.0),
@@ -408,12 +396,12 @@ def test_a_mismatch_is_the_plant_with_those_numbers():
 
 
 def test_a_mismatch_that_means_nothing_is_refused():
-    with pytest.raises(InvalidInput, match="finite"):
+    with pytest.raises(at.InvalidInput, match="finite"):
         Mismatch(lag=math.nan)
-    with pytest.raises(InvalidInput, match=r"mass = 0.0: must be a finite number > 0"):
+    with pytest.raises(at.InvalidInput, match=r"mass = 0.0: must be a finite number > 0"):
         Mismatch(mass=0.0)
-    mine = UserPlant(wandering, {"cf": 38000.0, "cr": 66000.0, "mass": 1575.0}, mass=1575.0, own_states=("unseen",))
-    with pytest.raises(InvalidInput, match="second plant"):
+    mine = at.UserPlant(wandering, {"cf": 38000.0, "cr": 66000.0, "mass": 1575.0}, mass=1575.0, own_states=("unseen",))
+    with pytest.raises(at.InvalidInput, match="second plant"):
         Mismatch(mass=1.3).sampled(mine, 0.05, 18.0)
     assert Mismatch(lag=0.1).sampled(mine, 0.05, 18.0).b.shape == (5,)
 
@@ -469,15 +457,17 @@ def test_what_the_interpolated_map_lets_pass_is_stable_and_little_else_is_stoppe
 
 
 REPLICA = {  # an independent replica of the authors' released system: (general trajectory, triple lane change)
-    "laguerre 0.95": (Moves.laguerre(0.95), 0.618, 0.038),
-    "laguerre 0.75": (Moves.laguerre(0.75), 0.129, 0.0040),
-    "pulse": (Moves.pulses(), 0.123, 0.0030),
+    "laguerre 0.95": (at.Moves.laguerre(0.95), 0.618, 0.038),
+    "laguerre 0.75": (at.Moves.laguerre(0.75), 0.129, 0.0040),
+    "pulse": (at.Moves.pulses(), 0.123, 0.0030),
 }
 
 
 @pytest.mark.parametrize("name", REPLICA)
 def test_the_released_configuration_reproduces_the_replica(name):
     moves, general, lane_change = REPLICA[name]
-    plant, mpc = SingleTrack(CAR, "constant-stiffness"), published_mpc(CAR, moves=moves)
+    plant, mpc = at.SingleTrack(CAR, "constant-stiffness"), at.published_mpc(CAR, moves=moves)
     for scenario, expected in (("general-trajectory", general), ("triple-lane-change", lane_change)):
-        assert compute_metrics(rollout(plant, mpc, load_scenario(scenario))).mse == pytest.approx(expected, rel=0.05)
+        assert at.compute_metrics(rollout(plant, mpc, at.load_scenario(scenario))).mse == pytest.approx(
+            expected, rel=0.05
+        )

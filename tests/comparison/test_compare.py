@@ -15,16 +15,8 @@ import adaptrack as at
 from adaptrack.base.errors import AdaptrackError, InvalidInput, MissingExtra, UnknownName
 from adaptrack.base.statistics import ratio
 from adaptrack.cars.plant import DualTrack
+from adaptrack.comparison import config
 from adaptrack.comparison import run as study
-from adaptrack.comparison.config import (
-    Cell,
-    ComparisonConfig,
-    ControllerSetting,
-    list_comparisons,
-    load_comparison,
-    load_drive,
-    load_setting,
-)
 from adaptrack.comparison.run import run_cell, run_comparison
 from adaptrack.comparison.table import Comparison, standing_rows
 from adaptrack.control.controllers import MPC, About, list_controllers, registry
@@ -39,8 +31,8 @@ TINY: dict[str, Any] = {
 }  # fmt: skip
 
 
-def tiny(**changes: Any) -> ComparisonConfig:
-    return ComparisonConfig(**{**TINY, **changes})
+def tiny(**changes: Any) -> config.ComparisonConfig:
+    return config.ComparisonConfig(**{**TINY, **changes})
 
 
 # -- statistics -------------------------------------------------------------------------------------------------------
@@ -111,40 +103,37 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
 
 
 # -- what is asked for ------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"budget": 5}, "give at least 10"),
-        ({"training": ["country:1"]}, "is a test road as well"),
-        ({"training_seeds": [1]}, "is a noise seed of the test drives as well"),
-        ({"contenders": ["informd"]}, "informed"),
-        ({"contender": ["informed"]}, "contender"),
-        ({"cars": []}, "cars"),
-        ({"contenders": ["nowhere.toml"]}, "cannot be read"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"budget": 5}, "give at least 10"),
+    ({"training": ["country:1"]}, "is a test road as well"),
+    ({"training_seeds": [1]}, "is a noise seed of the test drives as well"),
+    ({"contenders": ["informd"]}, "informed"),
+    ({"contender": ["informed"]}, "contender"),
+    ({"cars": []}, "cars"),
+    ({"contenders": ["nowhere.toml"]}, "cannot be read"),
+])  # fmt: skip
 def test_a_comparison_that_cannot_be_fair_is_refused_with_the_key(changes: dict[str, Any], words: str, tmp_path: Path):
     from adaptrack.base.files import write_toml
 
     write_toml(tmp_path / "mine.toml", {**TINY, **changes})
     with pytest.raises(AdaptrackError, match=words):
-        load_comparison(tmp_path / "mine.toml")
+        config.load_comparison(tmp_path / "mine.toml")
 
 
 def test_the_shipped_comparisons_can_be_loaded_and_name_what_is_there():
-    assert {"quick", "standard", "full"} <= set(list_comparisons())
-    for name in list_comparisons():
-        task = load_comparison(name)
+    assert {"quick", "standard", "full"} <= set(config.list_comparisons())
+    for name in config.list_comparisons():
+        task = config.load_comparison(name)
         assert set(task.contenders) <= set(list_controllers())
         for profile in task.profiles:
             load_profile(profile)
     with pytest.raises(UnknownName, match="standard"):
-        load_comparison("standart")
+        config.load_comparison("standart")
 
 
 def test_a_road_can_be_driven_faster():
     car = at.load_vehicle("paper")
-    drive, fast = (load_drive(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
+    drive, fast = (config.load_drive(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
     assert isinstance(drive, RoadDrive)
     assert isinstance(fast, RoadDrive)
     assert fast.duration < 0.9 * drive.duration
@@ -152,17 +141,17 @@ def test_a_road_can_be_driven_faster():
 
 
 def test_a_car_is_loaded_with_its_plant(tmp_path: Path):
-    assert load_setting("paper/single-track", "road").plant.name == "single-track"
-    assert load_setting("paper", "road").plant.name == "dual-track"
+    assert config.load_setting("paper/single-track", "road").plant.name == "single-track"
+    assert config.load_setting("paper", "road").plant.name == "dual-track"
     (tmp_path / "cars").mkdir()
     mine = tmp_path / "cars" / "mine.toml"
     at.load_vehicle("van").to_toml(mine)
-    assert load_setting(str(mine), "road").car.mass == at.load_vehicle("van").mass
-    assert load_setting(f"{mine}/single-track", "road").plant.name == "single-track"
+    assert config.load_setting(str(mine), "road").car.mass == at.load_vehicle("van").mass
+    assert config.load_setting(f"{mine}/single-track", "road").plant.name == "single-track"
     with pytest.raises(InvalidInput, match=r"must be a name or a \.toml file"):
-        load_setting("paper/single-track/again", "road")
+        config.load_setting("paper/single-track/again", "road")
     with pytest.raises(InvalidInput, match="whole number"):
-        load_drive("country:x", at.load_vehicle("paper"), 300.0, 10.0)
+        config.load_drive("country:x", at.load_vehicle("paper"), 300.0, 10.0)
 
 
 # -- contenders -------------------------------------------------------------------------------------------------------
@@ -173,7 +162,10 @@ def test_the_contender_from_the_data_sheet_is_told_mass_and_wheelbase_alone():
         stiffness_front=0.5 * car.stiffness_front, yaw_inertia=1.4 * car.yaw_inertia, lf=car.lf - 0.1, lr=car.lr + 0.1
     )
     slower = profile.replace(steering=profile.steering.replace(lag=0.3, dead_time=0.1))
-    settings = (ControllerSetting(car, DualTrack(car), profile), ControllerSetting(other, DualTrack(other), slower))
+    settings = (
+        config.ControllerSetting(car, DualTrack(car), profile),
+        config.ControllerSetting(other, DualTrack(other), slower),
+    )
     comparison = [setting.controller("informed-from-sheet") for setting in settings]
     assert all(isinstance(controller, MPC) for controller in comparison)
     assert comparison[0].belief == comparison[1].belief  # type: ignore[attr-defined]
@@ -182,7 +174,7 @@ def test_the_contender_from_the_data_sheet_is_told_mass_and_wheelbase_alone():
 
 
 def test_a_scheduler_is_left_out_on_a_car_that_it_was_not_made_for():
-    result = run_cell(tiny(cars=["van"], contenders=["nn"]), Cell("nn", "van", "road"))
+    result = run_cell(tiny(cars=["van"], contenders=["nn"]), config.Cell("nn", "van", "road"))
     assert not result["rows"]
     assert "was made for the car 'paper'" in result["left_out"]
 
@@ -193,7 +185,7 @@ def test_a_contender_that_needs_a_missing_package_is_left_out_with_the_remedy(mo
 
     monkeypatch.setattr(registry._registry, "factories", registry._registry.factories | {"nonlinear": nonlinear})
     monkeypatch.setattr(registry, "_descriptions", registry._descriptions | {"nonlinear": About("of a plug-in")})
-    result = run_cell(tiny(contenders=["nonlinear"]), Cell("nonlinear", "paper", "road"))
+    result = run_cell(tiny(contenders=["nonlinear"]), config.Cell("nonlinear", "paper", "road"))
     assert not result["rows"]
     assert "pip install casadi" in result["left_out"]
 
@@ -222,7 +214,7 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
 ):
     task, cells = tiny(budget=0), []
 
-    def counted(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
+    def counted(task: config.ComparisonConfig, cell: config.Cell) -> dict[str, Any]:
         cells.append(cell)
         if len(cells) == 2:
             raise KeyboardInterrupt

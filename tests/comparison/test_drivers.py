@@ -41,17 +41,14 @@ def test_a_driver_is_made_by_its_name_with_its_options():
     assert make_driver("speed-control:friction=0.6:0.9,governor=0.8", CAR) == expected
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"drivers": ["speedcontrol"]}, "Did you mean 'speed-control'"),
-        ({"drivers": ["driver:gard=0.5"]}, "'gard'; options, as in friction=0.6:0.9: preview, integral, guard"),
-        ({"drivers": ["driver:guard=high"]}, "could not convert string to float: 'high'"),
-        ({"drivers": ["speed-control:friction=0.9:0.6"]}, r"friction = \(0.9, 0.6\)"),
-        ({"drivers": ["driver"], "budget": 50}, "need budget = 0"),
-        ({"frictions": [0.0]}, "greater than 0"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"drivers": ["speedcontrol"]}, "Did you mean 'speed-control'"),
+    ({"drivers": ["driver:gard=0.5"]}, "'gard'; options, as in friction=0.6:0.9: preview, integral, guard"),
+    ({"drivers": ["driver:guard=high"]}, "could not convert string to float: 'high'"),
+    ({"drivers": ["speed-control:friction=0.9:0.6"]}, r"friction = \(0.9, 0.6\)"),
+    ({"drivers": ["driver"], "budget": 50}, "need budget = 0"),
+    ({"frictions": [0.0]}, "greater than 0"),
+])  # fmt: skip
 def test_a_driver_that_is_not_possible_is_refused_with_the_reason(changes: dict[str, Any], words: str):
     with pytest.raises(AdaptrackError, match=words):
         ComparisonConfig(**{**TINY, **changes})

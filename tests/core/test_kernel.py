@@ -11,48 +11,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptrack.core import library
+from adaptrack.core import kernel, library
 from adaptrack.core.build import header
-from adaptrack.core.kernel import (
-    INTERPRETED,
-    Field,
-    bounds_checker,
-    columns,
-    copier,
-    defaults,
-    fields_of,
-    record,
-    size_of,
-    vector,
-    void,
-)
 from adaptrack.core.member import member
 from adaptrack.core.roads.road import foot_about
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.road import Arc, Line, Road
 
-needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
+needs_compiled = pytest.mark.skipif(kernel.INTERPRETED, reason="needs compiled kernels")
 
 
 def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
-    kind = record("Kind", [Field("lag", "s", 0.5, "of the steering", "[0, 1)"), Field("pair", "", (1.0, 2.0), ""),
-                           Field("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
-    assert tuple(defaults(kind)) == (0.5, (1.0, 2.0), 3.0)
-    assert size_of(kind) == 4
+    kind = kernel.record("Kind", [kernel.Field("lag", "s", 0.5, "of the steering", "[0, 1)"),
+                                  kernel.Field("pair", "", (1.0, 2.0), ""),
+                                  kernel.Field("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
+    assert tuple(kernel.defaults(kind)) == (0.5, (1.0, 2.0), 3.0)
+    assert kernel.size_of(kind) == 4
     assert kind.field_settings["lag"].limits == {"ge": 0.0, "lt": 1.0}
     assert kind.field_settings["open"].limits == {"gt": 0.0}
     assert kind.field_settings["lag"].remark == "s, [0, 1), of the steering"
     source, target = kind.new(1, lag=0.1)[0], kind.new(1)[0]
-    copier(record("Copied", [kind.field_settings["lag"], kind.field_settings["open"]]))(source, target)
+    kernel.copier(kernel.record("Copied", [kind.field_settings["lag"], kind.field_settings["open"]]))(source, target)
     assert target.lag == 0.1
 
 
 def test_columns_keep_their_fields_and_the_header_describes_them():
-    speed = Field("speed", "m/s", float("nan"), "along the car", "(-10, 10)")
-    table = columns("t", speed)
-    assert (table.t, table.speed, fields_of(table)) == (0, 1, (speed,))
+    speed = kernel.Field("speed", "m/s", float("nan"), "along the car", "(-10, 10)")
+    table = kernel.columns("t", speed)
+    assert (table.t, table.speed, kernel.fields_of(table)) == (0, 1, (speed,))
     text = "".join(header._enumerations("adaptrack.core.tracker.signals"))
-    for field in fields_of(TRACKER_SAMPLE):
+    for field in kernel.fields_of(TRACKER_SAMPLE):
         assert f"TRACKER_SAMPLE_{field.name.upper()} = " in text
         assert f"/* {field.remark} */" in text
 
@@ -65,10 +53,10 @@ def test_columns_keep_their_fields_and_the_header_describes_them():
 def test_numbers_are_within_the_bounds_of_their_fields_and_unknown_ones_where_they_may_be(
     lag, ratio, required, optional
 ):
-    fields = Field("lag", "s", math.nan, "", "[0, 1)"), Field("ratio", "", math.nan, "", "(0, inf]")
-    row = record("Bounded", fields).new(1, lag=lag, ratio=ratio)[0]
-    assert bounds_checker(fields)(row) == required
-    assert bounds_checker(fields, optional=True)(row) == optional
+    fields = kernel.Field("lag", "s", math.nan, "", "[0, 1)"), kernel.Field("ratio", "", math.nan, "", "(0, inf]")
+    row = kernel.record("Bounded", fields).new(1, lag=lag, ratio=ratio)[0]
+    assert kernel.bounds_checker(fields)(row) == required
+    assert kernel.bounds_checker(fields, optional=True)(row) == optional
 
 
 def test_an_exported_kernel_answers_as_its_python_does():
@@ -79,18 +67,15 @@ def test_an_exported_kernel_answers_as_its_python_does():
 
 
 @needs_compiled
-@pytest.mark.parametrize(
-    ("arguments", "why"),
-    [
-        (np.zeros(3, np.float32), "need an array of 1 dimensions, float64"),
-        (np.zeros((2, 2)), "need an array of 1 dimensions, float64"),
-        (np.zeros(6)[::2], "C-contiguous"),
-        ([0.0, 1.0], "need an array"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "why"), [
+    (np.zeros(3, np.float32), "need an array of 1 dimensions, float64"),
+    (np.zeros((2, 2)), "need an array of 1 dimensions, float64"),
+    (np.zeros(6)[::2], "C-contiguous"),
+    ([0.0, 1.0], "need an array"),
+])  # fmt: skip
 def test_an_array_that_is_not_what_a_kernel_takes_is_refused(arguments, why):
     with pytest.raises(TypeError, match=why):
-        vector.convert(arguments)
+        kernel.vector.convert(arguments)
 
 
 @needs_compiled
@@ -103,7 +88,7 @@ def test_a_member_that_raises_leaves_nothing_that_counts(monkeypatch):
         if a[0] > 0.0:
             raise ValueError("no")
 
-    function, out = member(own, void(vector, vector)), np.zeros(2)
+    function, out = member(own, kernel.void(kernel.vector, kernel.vector)), np.zeros(2)
     function(np.array([-1.0]), out)
     assert out.tolist() == [1.0, 0.0]
     function(np.array([1.0]), out)
@@ -141,14 +126,11 @@ def test_a_library_that_is_not_what_was_built_is_never_loaded(built, harm):
     assert path.name in why
 
 
-@pytest.mark.parametrize(
-    ("file", "stale", "is_current"),
-    [
-        ("core/controllers/stanley.py", {"stanley"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
-        ("core/controllers/predicted_path.py", {"kinematic_mpc", "preview_lqr"}, {"stanley", "lqr", "mpc_step"}),
-        ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"stanley", "preview_lqr", "lqr"}),
-    ],
-)
+@pytest.mark.parametrize(("file", "stale", "is_current"), [
+    ("core/controllers/stanley.py", {"stanley"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
+    ("core/controllers/predicted_path.py", {"kinematic_mpc", "preview_lqr"}, {"stanley", "lqr", "mpc_step"}),
+    ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"stanley", "preview_lqr", "lqr"}),
+])  # fmt: skip
 def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, is_current):
     if not isinstance(library.loaded(), library.Library) or library.loaded().edited:
         pytest.skip("needs the library of these sources")

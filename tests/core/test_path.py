@@ -90,16 +90,13 @@ def sine_with(row, *offsets):
     return np.insert(SINE, row + 1, SINE[row] + np.array(offsets), axis=0)
 
 
-@pytest.mark.parametrize(
-    ("points", "repetitions"),
-    [
-        (sine_with(20, (-1e-4, 1e-3)), [21]),  # a planner's stop point
-        (sine_with(20, (0.0, 0.0), (0.05, -0.03), (0.0, 0.0)), [21, 22, 23]),  # a stop point at a seam, repeated
-        (np.concatenate([SINE[:1] - 0.003, SINE]), [1]),
-        (np.concatenate([SINE, SINE[-1:] + 0.003]), [59]),
-        (np.repeat(SINE, 2, axis=0), [*range(1, 119, 2), 118]),
-    ],
-)
+@pytest.mark.parametrize(("points", "repetitions"), [
+    (sine_with(20, (-1e-4, 1e-3)), [21]),  # a planner's stop point
+    (sine_with(20, (0.0, 0.0), (0.05, -0.03), (0.0, 0.0)), [21, 22, 23]),  # a stop point at a seam, repeated
+    (np.concatenate([SINE[:1] - 0.003, SINE]), [1]),
+    (np.concatenate([SINE, SINE[-1:] + 0.003]), [59]),
+    (np.repeat(SINE, 2, axis=0), [*range(1, 119, 2), 118]),
+])  # fmt: skip
 def test_a_point_nearer_to_another_than_its_error_is_repetitions_and_named(points, repetitions):
     """The road stays within the error of its points, without the loop that turns by it."""
     road, smooth = road_through(points), road_through(SINE)
@@ -144,22 +141,19 @@ def bends_with(row, value):
     return points
 
 
-@pytest.mark.parametrize(
-    ("points", "status", "where"),
-    [
-        (FEW[:3], path.TOO_FEW, 3),
-        (np.zeros((0, 2)), path.TOO_FEW, 0),
-        (np.zeros((9, 1)), path.TOO_FEW, 9),
-        (bends_with(5, math.nan), path.POINT_NOT_FINITE, 5),
-        (bends_with(5, -math.inf), path.POINT_NOT_FINITE, 5),
-        (bends_with(5, 1e9), path.POINT_TOO_FAR, 5),
-        (bends_with(5, 2e4), path.POINT_TOO_FAR, 4),
-        (np.repeat(BENDS[:3], 4, axis=0), path.TOO_FEW, 3),
-        (np.zeros((9, 2)), path.TOO_FEW, 1),
-        (1e-5 * BENDS, path.TOO_SHORT, 0),
-        ([(3.0 - abs(k), 0.0) for k in range(-3, 4)], path.PATH_KINK, 3),
-    ],
-)
+@pytest.mark.parametrize(("points", "status", "where"), [
+    (FEW[:3], path.TOO_FEW, 3),
+    (np.zeros((0, 2)), path.TOO_FEW, 0),
+    (np.zeros((9, 1)), path.TOO_FEW, 9),
+    (bends_with(5, math.nan), path.POINT_NOT_FINITE, 5),
+    (bends_with(5, -math.inf), path.POINT_NOT_FINITE, 5),
+    (bends_with(5, 1e9), path.POINT_TOO_FAR, 5),
+    (bends_with(5, 2e4), path.POINT_TOO_FAR, 4),
+    (np.repeat(BENDS[:3], 4, axis=0), path.TOO_FEW, 3),
+    (np.zeros((9, 2)), path.TOO_FEW, 1),
+    (1e-5 * BENDS, path.TOO_SHORT, 0),
+    ([(3.0 - abs(k), 0.0) for k in range(-3, 4)], path.PATH_KINK, 3),
+])  # fmt: skip
 def test_what_makes_no_path_has_a_status_and_a_place(points, status, where):
     assert make_path(points)[:2] == (status, where)
 

@@ -222,16 +222,13 @@ def test_a_lap_is_periodic_and_no_other_lap_is_faster():
     assert turned.speed.min() == pytest.approx(plan.speed.min(), rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("changes", "status", "value"),
-    [
-        ({"bank": 0.4}, kernel.TOO_STEEP, 3.0),
-        ({"bounds": {"start": 90.0}}, kernel.START_TOO_FAST, 27.0),
-        ({"bounds": {"end": 90.0}}, kernel.END_TOO_FAST, 27.0),
-        ({"bounds": {"start": 20.0, "end": 0.0}}, kernel.CANNOT_BRAKE, math.sqrt(2.0 * 3.0 * 50.0)),
-        ({"bounds": {"lateral": math.nan}}, kernel.NO_BOUNDS, 0.0),
-    ],
-)
+@pytest.mark.parametrize(("changes", "status", "value"), [
+    ({"bank": 0.4}, kernel.TOO_STEEP, 3.0),
+    ({"bounds": {"start": 90.0}}, kernel.START_TOO_FAST, 27.0),
+    ({"bounds": {"end": 90.0}}, kernel.END_TOO_FAST, 27.0),
+    ({"bounds": {"start": 20.0, "end": 0.0}}, kernel.CANNOT_BRAKE, math.sqrt(2.0 * 3.0 * 50.0)),
+    ({"bounds": {"lateral": math.nan}}, kernel.NO_BOUNDS, 0.0),
+])  # fmt: skip
 def test_what_is_not_possible_is_a_status_with_its_number(changes, status, value):
     line = Road.from_segments([Line(length=50.0)]).packed()
     bounds = BOUNDS._replace(**changes.get("bounds", {}))

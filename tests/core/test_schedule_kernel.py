@@ -267,18 +267,14 @@ def test_a_tuning_too_near_instability_gives_way_only_as_far_as_it_must():
     assert drive.counts()["fallback"] == 0
 
 
-@pytest.mark.parametrize(
-    ("value", "condition", "functions"),
-    [
-        (lambda speed, *_: speed >= 20, {"speed": 19.0}, {}),
-        (lambda speed, friction, *_: friction < 0.5, {"friction": 0.4}, {}),
-        (lambda speed, friction, Np, *_: Np >= 60, {}, {"Np": 59.0}),
-        (lambda speed, friction, Np, Nc, ratio: Nc >= 20, {}, {"Nc": 19.0}),
-        (lambda speed, friction, Np, Nc, ratio: ratio >= 3, {}, {"R": 1e3}),
-        (lambda speed, friction, Np, Nc, ratio: ratio >= 3, {}, {"Q": 1e-2, "R": 10.0}),
-    ],
-    ids=["speed", "friction", "Np", "Nc", "R", "ratio"],
-)
+@pytest.mark.parametrize(("value", "condition", "functions"), [
+    (lambda speed, *_: speed >= 20, {"speed": 19.0}, {}),
+    (lambda speed, friction, *_: friction < 0.5, {"friction": 0.4}, {}),
+    (lambda speed, friction, Np, *_: Np >= 60, {}, {"Np": 59.0}),
+    (lambda speed, friction, Np, Nc, ratio: Nc >= 20, {}, {"Nc": 19.0}),
+    (lambda speed, friction, Np, Nc, ratio: ratio >= 3, {}, {"R": 1e3}),
+    (lambda speed, friction, Np, Nc, ratio: ratio >= 3, {}, {"Q": 1e-2, "R": 10.0}),
+], ids=["speed", "friction", "Np", "Nc", "R", "ratio"])  # fmt: skip
 def test_every_axis_of_the_stability_map_is_looked_at(value, condition, functions):
     where = stability_map(lambda *at: 1.3 if value(*at) else 0.5)
     plain = {"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 0.1, **functions}

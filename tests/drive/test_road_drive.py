@@ -63,17 +63,14 @@ def test_a_clothoid_lies_beside_its_tangent_as_a_cubic():
     np.testing.assert_allclose(path, 1e-4 * s**3 / 6.0, rtol=0, atol=2e-4)  # the table of headings is 0.5 m fine
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: RoadAhead(HAIRPIN, math.nan, [10.0]), "station"),
-        (lambda: RoadAhead(HAIRPIN, 0.0, []), "speeds"),
-        (lambda: RoadDrive("lap", 10.0), "must be a Road"),
-        (lambda: RoadDrive(HAIRPIN, 5.0, laps=2), "is open"),
-        (lambda: RoadDrive(HAIRPIN, plan_speed(WINDING)), "different road"),
-        (lambda: RoadDrive(HAIRPIN, 5.0, start_heading=2.0), "right angle"),
-    ],
-)
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: RoadAhead(HAIRPIN, math.nan, [10.0]), "station"),
+    (lambda: RoadAhead(HAIRPIN, 0.0, []), "speeds"),
+    (lambda: RoadDrive("lap", 10.0), "must be a Road"),
+    (lambda: RoadDrive(HAIRPIN, 5.0, laps=2), "is open"),
+    (lambda: RoadDrive(HAIRPIN, plan_speed(WINDING)), "different road"),
+    (lambda: RoadDrive(HAIRPIN, 5.0, start_heading=2.0), "right angle"),
+])  # fmt: skip
 def test_drives_that_make_no_sense_are_refused(make, words):
     with pytest.raises(InvalidInput, match=words):
         make()

@@ -511,26 +511,22 @@ def test_the_default_steps_leave_less_than_a_millimetre(profile, plant, tyre):
 # -- records and refusals ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"tunings": [[35, 8, 10]]},
-        {"tunings": [[35, 8, 10, math.nan]]},
-        {"tunings": [[[35, 8, 10, 1]]]},
-        {"scenario_indices": [1]},
-        {"scenario_indices": [-1]},
-        {"scenario_indices": [0, 0]},
-        {"scenarios": []},
-        {"controller": published_mpc(CAR, scheduler=lambda variables: CALM)},
-        {"controller": published_mpc(CAR, solver=Daqp())},
-        {"controller": published_mpc(CAR, scheduler=Constant(CALM))},
-        {"controller": None},
-        {"failure": 5.0},
-        {"perception": FrictionWindEstimator(CAR, period=0.05)},
-        {"seeds": [1, 2, 3]},
-    ],
-    ids=lambda arguments: next(iter(arguments)),
-)
+@pytest.mark.parametrize("arguments", [
+    {"tunings": [[35, 8, 10]]},
+    {"tunings": [[35, 8, 10, math.nan]]},
+    {"tunings": [[[35, 8, 10, 1]]]},
+    {"scenario_indices": [1]},
+    {"scenario_indices": [-1]},
+    {"scenario_indices": [0, 0]},
+    {"scenarios": []},
+    {"controller": published_mpc(CAR, scheduler=lambda variables: CALM)},
+    {"controller": published_mpc(CAR, solver=Daqp())},
+    {"controller": published_mpc(CAR, scheduler=Constant(CALM))},
+    {"controller": None},
+    {"failure": 5.0},
+    {"perception": FrictionWindEstimator(CAR, period=0.05)},
+    {"seeds": [1, 2, 3]},
+], ids=lambda arguments: next(iter(arguments)))  # fmt: skip
 def test_a_batch_refuses_what_does_not_fit(arguments):
     options = {
         "plant": SingleTrack(CAR),

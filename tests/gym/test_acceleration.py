@@ -135,14 +135,11 @@ def test_the_offset_is_positive_to_the_left_of_the_path_in_both_environments():
         assert observation[env.names.index("offset")] == expected
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"driver": at.Driver()}, "leave the driver out"),
-        ({"speed_weight": -1.0}, "speed_weight"),
-        ({"acceleration_weight": math.inf}, "acceleration_weight"),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    ({"driver": at.Driver()}, "leave the driver out"),
+    ({"speed_weight": -1.0}, "speed_weight"),
+    ({"acceleration_weight": math.inf}, "acceleration_weight"),
+])  # fmt: skip
 def test_what_makes_no_environment_is_refused(options, message):
     with pytest.raises(InvalidInput, match=message):
         PathTrackingEnv(road=STEP, acceleration=True, **options)

@@ -214,19 +214,16 @@ def test_what_is_seen_of_a_bend_is_its_curvature():
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"road": []}, "road = "),
-        ({"road": 3}, "road = 3"),
-        ({"car": 3}, "car = 3"),
-        ({"car": at.UserPlant(lambda x, u, environment, p, dx: None, {}, 1500.0)}, r"UserPlant\(..., vehicle="),
-        ({"car": at.load_vehicle("van"), "random_cars": True}, "random_cars: car = "),
-        ({"failure_cost": -1.0}, "failure_cost"),
-        ({"failure_cost": "high"}, "Task: failure_cost = 'high'"),
-        ({"distances": (-1.0,)}, "distances"),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    ({"road": []}, "road = "),
+    ({"road": 3}, "road = 3"),
+    ({"car": 3}, "car = 3"),
+    ({"car": at.UserPlant(lambda x, u, environment, p, dx: None, {}, 1500.0)}, r"UserPlant\(..., vehicle="),
+    ({"car": at.load_vehicle("van"), "random_cars": True}, "random_cars: car = "),
+    ({"failure_cost": -1.0}, "failure_cost"),
+    ({"failure_cost": "high"}, "Task: failure_cost = 'high'"),
+    ({"distances": (-1.0,)}, "distances"),
+])  # fmt: skip
 def test_what_makes_no_environment_is_refused(options, message):
     with pytest.raises(InvalidInput, match=message):
         PathTrackingEnv(**{"road": STEP, **options})

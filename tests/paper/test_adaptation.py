@@ -13,16 +13,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.statistics import geometric_mean
+from adaptrack.control import scheduling
 from adaptrack.control.controllers import Tuning
-from adaptrack.control.scheduling import (
-    ENTRIES,
-    Constant,
-    Lookup,
-    SchedulingVariables,
-    check_scheduler,
-    load_scheduler,
-    made_for,
-)
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation, evaluation, improvement
@@ -52,15 +44,12 @@ def contents(folder):
 
 
 # -- the task ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"operating_points": {"kind": "paper-grid"}}, "Sobol sample"),
-        ({"scenario": "step"}, "scenario = 'step'"),
-        ({"duration": 6.0}, "duration = 6.0"),
-        ({"move_weight": 1.0}, "move_weight = 1.0"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"operating_points": {"kind": "paper-grid"}}, "Sobol sample"),
+    ({"scenario": "step"}, "scenario = 'step'"),
+    ({"duration": 6.0}, "duration = 6.0"),
+    ({"move_weight": 1.0}, "move_weight = 1.0"),
+])  # fmt: skip
 def test_a_campaign_from_which_schedules_cannot_learn_is_refused(tmp_path, changes, words):
     with pytest.raises(InvalidInput, match=f"'pond'.*{words}"):
         task_of(tmp_path, **changes)
@@ -105,7 +94,7 @@ def test_no_operating_point_drive_or_noise_is_in_two_of_learning_holding_out_and
         )
 
     monkeypatch.setattr(evaluation, "find_optimum", lambda *arguments: np.ones((2000, 4)))
-    constants = dict.fromkeys(("best constant", "best constant on drives", "fallback"), Constant(Tuning()))
+    constants = dict.fromkeys(("best constant", "best constant on drives", "fallback"), scheduling.Constant(Tuning()))
     record("learning")
     road.training()
     record("holding out")
@@ -171,10 +160,10 @@ def test_an_adaptation_writes_one_file_for_each_contender(chain, rng):
     points = rng.uniform((3.0, -7.0, 0.3, -30.0), (30.0, 7.0, 1.0, 30.0), (50, 4))
     schedules = adaptation.read_schedules(chain.folder)
     for name, schedule in schedules.items():
-        purpose = made_for(chain.task.mpc, "road") | {"plant": "dual-track", "tyre": "magic-formula"}
+        purpose = scheduling.made_for(chain.task.mpc, "road") | {"plant": "dual-track", "tyre": "magic-formula"}
         assert schedule.made_for == purpose
         np.testing.assert_array_equal(schedule.batch(points), chain.schedules[name].batch(points))
-        check_scheduler(schedule, 60)
+        scheduling.check_scheduler(schedule, 60)
     assert {name for name, schedule in schedules.items() if schedule.guard is not None} == {"nn", "anfis"}
     assert all(
         [entry["round"] for entry in schedules[name].provenance["history"]] == [0, 2] for name in ("nn", "anfis")
@@ -187,7 +176,7 @@ def test_a_resumed_adaptation_keeps_finished_schedules_and_makes_the_others_with
 ):
     folder = shutil.copytree(chain.folder, tmp_path / "out")
     (folder / "schedulers" / "look-up.json").unlink()
-    other = Constant(Tuning(12, 2, 1.0, 50.0))
+    other = scheduling.Constant(Tuning(12, 2, 1.0, 50.0))
     replace(other, provenance={"identity": "of another campaign"}).save(folder / "schedulers" / "fallback.json")
     monkeypatch.setattr(adaptation, "improve", lambda *arguments, **parameters: pytest.fail("it learned again"))
     with short_cuts():
@@ -289,7 +278,7 @@ def check_guard(guarded, rng):
         positions = np.column_stack([at, coordinates(tunings)])
         return table(np.clip(positions, [axis[0] for axis in axes], [axis[-1] for axis in axes]))
 
-    inputs = rows[:, [SchedulingVariables._fields.index(name) for name in guarded.inputs]]
+    inputs = rows[:, [scheduling.SchedulingVariables._fields.index(name) for name in guarded.inputs]]
     reach = guard.slack * np.ptp(guarded.domain, axis=1)
     is_far = ((inputs < guarded.domain[:, 0] - reach) | (inputs > guarded.domain[:, 1] + reach)).any(axis=1)
     off_reference = np.abs(rows[:, 6]) > guard.offset_limit * GRAVITY * rows[:, 2]
@@ -301,7 +290,7 @@ def check_guard(guarded, rng):
     ends = np.sort(np.stack([coordinates(bare), np.broadcast_to(coordinates(safe[None]), (len(rows), 3))]), axis=0)
     assert ((coordinates(tunings) >= ends[0] - 1e-9) & (coordinates(tunings) <= ends[1] + 1e-9)).all()
     for name, (low, high) in improvement.TUNING_BOUNDS.items():
-        values = tunings[:, ENTRIES.index(name)]
+        values = tunings[:, scheduling.ENTRIES.index(name)]
         assert low <= values.min() <= values.max() <= high
     corners = np.array(list(itertools.product(*axes[:2])))
     assert peak(np.tile(safe, (len(corners), 1)), corners).max() <= 1.0 - adaptation.FALLBACK_MARGIN + 1e-9
@@ -320,7 +309,7 @@ def test_a_shipped_schedule_is_the_bare_one_or_gives_way_and_is_never_near_to_in
 def some_schedules():
     """A schedule for each contender, with its own Np."""
     return {
-        name: Lookup({"speed": [0.0, 40.0]}, [[20 + i, 5, 1.0, 1e3], [20 + i, 5, 1.0, 1e5]], name=name)
+        name: scheduling.Lookup({"speed": [0.0, 40.0]}, [[20 + i, 5, 1.0, 1e3], [20 + i, 5, 1.0, 1e5]], name=name)
         for i, name in enumerate(CONTENDER_NAMES)
     }
 
@@ -335,7 +324,7 @@ def test_on_operating_points_the_reference_is_the_optimum_and_the_table_knows_th
         return compare(runs, contenders, *parameters)
 
     monkeypatch.setattr(evaluation, "compare", note)
-    schedules = chain.schedules | {"mine": Constant(Tuning(30, 5, 1.0, 4000.0))}
+    schedules = chain.schedules | {"mine": scheduling.Constant(Tuning(30, 5, 1.0, 4000.0))}
     comparisons = evaluate_on_operating_points(chain.task, schedules, 4, 7, perception=("exact", "noisy"))
     exact, noisy = comparisons["exact"], comparisons["noisy"]
     assert set(exact.contenders) == {*EVALUATED, "mine", "optimum"}
@@ -382,4 +371,4 @@ def test_on_drives_and_tests_the_reference_is_the_constant_that_was_tuned_on_dri
 
 def test_a_schedule_that_ships_is_loaded_by_its_contender():
     assert shipped_schedules()["best constant on drives"].name == "road-best-constant-on-drives"
-    assert load_scheduler("road-nn").guard is not None
+    assert scheduling.load_scheduler("road-nn").guard is not None

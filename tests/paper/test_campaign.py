@@ -103,44 +103,41 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
     assert (road.duration, road.move_weight, road.noise_seeds, road.mirror) == (8.0, 3.0, (0, 1, 2, 3), False)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"sede": "3"}, r"sede: unknown key\. Did you mean 'seed'\?"),
-        ({"swarm": "{ particels = 3 }"}, r"swarm\.particels: unknown key\. Did you mean 'particles'\?"),
-        ({"profile": None}, "profile: missing"),
-        ({"profile": '"papers"'}, "no profile is named 'papers'. Did you mean 'paper'"),
-        ({"scenario": '"slalom"'}, "scenario = 'slalom': must be one of 'step', 'lane-change'"),
-        ({"duration": "-1.0"}, "duration = -1.0: must be a finite number > 0"),
-        ({"seed": "-1"}, "seed = -1: must be a whole number >= 0"),
-        ({"noise_seeds": "[]"}, "give one seed at least"),
-        ({"noise_seeds": "[1, 2]"}, "profile 'paper' has no noise"),
-        ({"noise_seeds": "[1, 1]", "profile": '"road"'}, "noise_seeds: one is given twice"),
-        ({"name": '"a/b"'}, "name = 'a/b'"),
-        ({"operating_points": '{ kind = "grids" }'}, "operating_points.kind = 'grids': unknown. Did you mean 'grid'?"),
-        (
-            {"operating_points": '{ kind = "grid", speed = [1000.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
-            r"speed = 1000 in row 0: must be in \[1, 100\] m/s",
-        ),
-        (
-            {
-                "operating_points": '{ kind = "sobol", n = 4, box = '
-                "{ speed = [30.0, 3.0], y_ref = [-1.0, 1.0], friction = [0.5, 0.9], wind = [0.0, 1.0] } }"
-            },
-            r"speed = \[30, 3\] is empty",
-        ),
-        ({"search": "{ Nc = [10, 18], Np = [5, 55] }"}, "Nc from 10 and Np from 5: the lower bounds violate Nc <= Np"),
-        ({"search": "{ Np = [20, 10] }"}, r"Np = \[20, 10\] is empty"),
-        ({"search": "{ Q = [0.0, 10.0] }"}, r"Q = \[0, 10\]: must be > 0"),
-        ({"search": "{ Np = [1, 1000] }"}, "must not exceed 500"),
-        ({"library": "{ size = 0 }"}, "library.size = 0: must be a whole number >= 1"),
-        ({"library": "{ tunings = [[5.0, 8.0, 1.0, 0.1]] }"}, r"need whole numbers 1 <= Nc <= Np"),
-        ({"library": "{ size = 3, tunings = [[9.0, 8.0, 1.0, 0.1]] }"}, "size and seed have no use"),
-        ({"sede": "1", "chunk": "0", "profile": '"x"'}, r"(?s)my-campaign\.toml: 3 problems:.*profile.*chunk.*sede"),
-        ({"vehicle": '"papre"'}, "no vehicle is named 'papre'. Did you mean 'paper'?"),
-        ({"tyre": '"no-such.toml"'}, "no-such.toml: cannot be read"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"sede": "3"}, r"sede: unknown key\. Did you mean 'seed'\?"),
+    ({"swarm": "{ particels = 3 }"}, r"swarm\.particels: unknown key\. Did you mean 'particles'\?"),
+    ({"profile": None}, "profile: missing"),
+    ({"profile": '"papers"'}, "no profile is named 'papers'. Did you mean 'paper'"),
+    ({"scenario": '"slalom"'}, "scenario = 'slalom': must be one of 'step', 'lane-change'"),
+    ({"duration": "-1.0"}, "duration = -1.0: must be a finite number > 0"),
+    ({"seed": "-1"}, "seed = -1: must be a whole number >= 0"),
+    ({"noise_seeds": "[]"}, "give one seed at least"),
+    ({"noise_seeds": "[1, 2]"}, "profile 'paper' has no noise"),
+    ({"noise_seeds": "[1, 1]", "profile": '"road"'}, "noise_seeds: one is given twice"),
+    ({"name": '"a/b"'}, "name = 'a/b'"),
+    ({"operating_points": '{ kind = "grids" }'}, "operating_points.kind = 'grids': unknown. Did you mean 'grid'?"),
+    (
+        {"operating_points": '{ kind = "grid", speed = [1000.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
+        r"speed = 1000 in row 0: must be in \[1, 100\] m/s",
+    ),
+    (
+        {
+            "operating_points": '{ kind = "sobol", n = 4, box = '
+            "{ speed = [30.0, 3.0], y_ref = [-1.0, 1.0], friction = [0.5, 0.9], wind = [0.0, 1.0] } }"
+        },
+        r"speed = \[30, 3\] is empty",
+    ),
+    ({"search": "{ Nc = [10, 18], Np = [5, 55] }"}, "Nc from 10 and Np from 5: the lower bounds violate Nc <= Np"),
+    ({"search": "{ Np = [20, 10] }"}, r"Np = \[20, 10\] is empty"),
+    ({"search": "{ Q = [0.0, 10.0] }"}, r"Q = \[0, 10\]: must be > 0"),
+    ({"search": "{ Np = [1, 1000] }"}, "must not exceed 500"),
+    ({"library": "{ size = 0 }"}, "library.size = 0: must be a whole number >= 1"),
+    ({"library": "{ tunings = [[5.0, 8.0, 1.0, 0.1]] }"}, r"need whole numbers 1 <= Nc <= Np"),
+    ({"library": "{ size = 3, tunings = [[9.0, 8.0, 1.0, 0.1]] }"}, "size and seed have no use"),
+    ({"sede": "1", "chunk": "0", "profile": '"x"'}, r"(?s)my-campaign\.toml: 3 problems:.*profile.*chunk.*sede"),
+    ({"vehicle": '"papre"'}, "no vehicle is named 'papre'. Did you mean 'paper'?"),
+    ({"tyre": '"no-such.toml"'}, "no-such.toml: cannot be read"),
+])  # fmt: skip
 def test_a_bad_configuration_is_one_clear_error_before_any_work_starts(toml, tmp_path, changes, message):
     with pytest.raises(AdaptrackError, match=message):
         run_campaign(load_campaign(toml(**changes)), tmp_path / "out")
@@ -334,15 +331,12 @@ def edit_versions(file: Path) -> None:
     dataclasses.replace(part, provenance={**part.provenance, "versions": versions}).save(file)
 
 
-@pytest.mark.parametrize(
-    ("changes", "edit", "words"),
-    [
-        ({"seed": 4}, None, r"00000\.parquet: was computed with other settings \(seed = 3 there, 4 here\): choose"),
-        ({"chunk": 3}, None, "holds other operating points; was `chunk` changed"),
-        ({}, edit_versions, "was computed with other software .*another there"),
-        ({}, lambda file: file.write_bytes(file.read_bytes()[:-20]), r"00000\.parquet: .*damaged.*Remove this part"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "edit", "words"), [
+    ({"seed": 4}, None, r"00000\.parquet: was computed with other settings \(seed = 3 there, 4 here\): choose"),
+    ({"chunk": 3}, None, "holds other operating points; was `chunk` changed"),
+    ({}, edit_versions, "was computed with other software .*another there"),
+    ({}, lambda file: file.write_bytes(file.read_bytes()[:-20]), r"00000\.parquet: .*damaged.*Remove this part"),
+])  # fmt: skip
 def test_a_part_that_does_not_belong_here_is_refused_before_any_work(
     tmp_path, folder, monkeypatch, changes, edit, words
 ):
@@ -374,14 +368,11 @@ def test_a_worker_with_other_software_is_refused():
         module.tune_point(setup, software, 0, np.array([10.0, 2.0, 0.8, 0.0]))
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        ({"workers": 0}, InvalidInput, "workers"),
-        ({"workers": 1, "cluster": "tcp://127.0.0.1:1"}, InvalidInput, "give one of them"),
-        ({"cluster": "tcp://127.0.0.1:1"}, MissingExtra, r"python -m pip install 'adaptrack\[cluster\]'"),
-    ],
-)
+@pytest.mark.parametrize(("options", "error", "words"), [
+    ({"workers": 0}, InvalidInput, "workers"),
+    ({"workers": 1, "cluster": "tcp://127.0.0.1:1"}, InvalidInput, "give one of them"),
+    ({"cluster": "tcp://127.0.0.1:1"}, MissingExtra, r"python -m pip install 'adaptrack\[cluster\]'"),
+])  # fmt: skip
 def test_impossible_workers_are_refused_and_a_missing_dask_is_answered_with_the_command(
     tmp_path, monkeypatch, options, error, words
 ):
@@ -424,14 +415,11 @@ def test_a_dask_cluster_gives_the_same_bytes_and_one_without_workers_is_refused(
 
 
 @needs_dask
-@pytest.mark.parametrize(
-    ("address", "words"),
-    [
-        ("tcp://127.0.0.1:9", "no Dask scheduler answers there"),
-        ("localhost", "not an address; give one like tcp://127.0.0.1:8786"),
-        ("tcp://127.0.0.1:99999", "not an address"),
-    ],
-)
+@pytest.mark.parametrize(("address", "words"), [
+    ("tcp://127.0.0.1:9", "no Dask scheduler answers there"),
+    ("localhost", "not an address; give one like tcp://127.0.0.1:8786"),
+    ("tcp://127.0.0.1:99999", "not an address"),
+])  # fmt: skip
 @pytest.mark.filterwarnings("ignore")
 def test_an_address_without_a_scheduler_is_refused(tmp_path, address, words):
     with pytest.raises(InvalidInput, match=words):

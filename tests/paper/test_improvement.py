@@ -278,7 +278,7 @@ def test_beyond_a_cliff_only_what_saves_the_runs_shows_the_way(safe):
 @pytest.mark.parametrize("kind", ["constant", "network", "fuzzy"])
 def test_improving_finds_the_known_optimum(kind):
     best = same_everywhere if kind == "constant" else along_speed_and_friction
-    improved = improve(beginning(kind), [(Bowl(best), 32)], [Bowl(best, seed=1)], rounds=40)
+    improved = improve(beginning(kind), [(Bowl(best), 32)], [Bowl(best, seed=1)], rounds=25)
     rows = Bowl(best, seed=2).variables.reshape(-1, len(SchedulingVariables._fields))
     Np, Nc, Q, R = improved.schedule.batch(rows).T
     off = np.abs(np.column_stack([Np, Nc, np.log10(R / Q)]) - best(rows))
@@ -392,14 +392,11 @@ def test_noise_is_new_in_every_round_and_never_that_of_the_scores(seed):
     assert not set(rounds) & set(judge.seeds)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"inputs": ("speed", "offset")}, "offset"),
-        ({"inputs": ("speed", "grip")}, "'grip'.*friction"),
-        ({"surfaces": {"Np": Level(30.0)}}, "Np, Nc, log10_ratio"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"inputs": ("speed", "offset")}, "offset"),
+    ({"inputs": ("speed", "grip")}, "'grip'.*friction"),
+    ({"surfaces": {"Np": Level(30.0)}}, "Np, Nc, log10_ratio"),
+])  # fmt: skip
 def test_a_missing_surface_and_an_input_unknown_before_driving_are_refused(changes, words):
     with pytest.raises(InvalidInput, match=words):
         improve(replace(beginning("constant"), **changes), [], [])

@@ -63,26 +63,23 @@ def box(sides):
     return sobol(10, sides)
 
 
-@pytest.mark.parametrize(
-    ("make", "argument", "message"),
-    [
-        (one, {"speed": []}, "speed: need a list of one level or more"),
-        (one, {"wind": 3.0}, "wind: need a list of one level or more"),
-        (one, {"wind": ["x"]}, "wind: need a list of numbers"),
-        (one, {"y_ref": [1.0, 2.0, 1.0]}, "y_ref: a level is given twice"),
-        (one, {"speed": [float("nan")]}, "speed = nan"),
-        (one, {"speed": [-5.0]}, r"speed = -5 in row 0: must be in \[1, 100\] m/s"),
-        (box, {**BOX, "speed": (30.0, 3.0)}, r"speed = \[30, 3\] is empty"),
-        (box, {**BOX, "speed": (30.0, float("nan"))}, "is empty"),
-        (box, {**BOX, "friction": (0.0, 1.0)}, r"friction = \[0, 1\]: must be within"),
-        (box, {**BOX, "wind": (-3.0,)}, "wind.*need a pair"),
-        (box, {"speed": (1.0, 2.0), "winds": (0.0, 1.0)}, "missing: friction, wind, y_ref; unknown: winds"),
-        (check_operating_points, [], "operating points"),
-        (check_operating_points, [1.0, 2.0, 3.0, 4.0], "operating points"),
-        (check_operating_points, [[1.0, 2.0, 3.0]], "operating points"),
-        (check_operating_points, "text", "operating points"),
-    ],
-)
+@pytest.mark.parametrize(("make", "argument", "message"), [
+    (one, {"speed": []}, "speed: need a list of one level or more"),
+    (one, {"wind": 3.0}, "wind: need a list of one level or more"),
+    (one, {"wind": ["x"]}, "wind: need a list of numbers"),
+    (one, {"y_ref": [1.0, 2.0, 1.0]}, "y_ref: a level is given twice"),
+    (one, {"speed": [float("nan")]}, "speed = nan"),
+    (one, {"speed": [-5.0]}, r"speed = -5 in row 0: must be in \[1, 100\] m/s"),
+    (box, {**BOX, "speed": (30.0, 3.0)}, r"speed = \[30, 3\] is empty"),
+    (box, {**BOX, "speed": (30.0, float("nan"))}, "is empty"),
+    (box, {**BOX, "friction": (0.0, 1.0)}, r"friction = \[0, 1\]: must be within"),
+    (box, {**BOX, "wind": (-3.0,)}, "wind.*need a pair"),
+    (box, {"speed": (1.0, 2.0), "winds": (0.0, 1.0)}, "missing: friction, wind, y_ref; unknown: winds"),
+    (check_operating_points, [], "operating points"),
+    (check_operating_points, [1.0, 2.0, 3.0, 4.0], "operating points"),
+    (check_operating_points, [[1.0, 2.0, 3.0]], "operating points"),
+    (check_operating_points, "text", "operating points"),
+])  # fmt: skip
 def test_a_grid_a_box_and_points_that_make_no_sense_are_refused_with_the_quantity(make, argument, message):
     with pytest.raises(InvalidInput, match=message):
         make(argument)

@@ -22,7 +22,7 @@ def data(n=150, inputs=2, seed=0):
     pytest.param(MLP(epochs=600), marks=pytest.mark.slow),
     pytest.param(MLP(epochs=80, batch_size=20), marks=pytest.mark.slow),
     MLP(solver="lbfgs", epochs=60),
-    MLP(epochs=25, batch_size=20, solver="adam", learning_rate=0.03, early_stopping=True),
+    MLP(epochs=12, batch_size=20, solver="adam", learning_rate=0.03, early_stopping=True),
 ])  # fmt: skip
 def test_it_is_a_scikit_learn_estimator(estimator):
     batches = "batches and held-out rows are drawn from the rows, whatever their weights"

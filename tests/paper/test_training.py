@@ -12,7 +12,7 @@ from adaptrack.paper.operating_points import POINT_NAMES, fold, grid, mirrored, 
 from small_data import plain
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
-OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}
+OPTIONS = {"nn": {"solver": "adam", "epochs": 60, "batch_size": 30, "learning_rate": 0.02}, "anfis": {"epochs": 3}}
 
 
 def tuned(conditions, noise=0.0):
@@ -24,14 +24,6 @@ def tuned(conditions, noise=0.0):
     Nc = 2.0 + np.abs(y_ref) / 3.0
     Q, R = 1.0 + friction * np.abs(y_ref), 10.0 ** (-3.0 + speed / 30.0 + (wind * y_ref) / 900.0)
     return plain(conditions, tunings=np.column_stack((Np, Nc, Q, R)), provenance={"name": "smooth", "identity": "abc"})
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_trees():
-    """A ceiling that takes a fifth of the time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "TREES", 60)
-        yield
 
 
 @pytest.fixture

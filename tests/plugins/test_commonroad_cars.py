@@ -207,15 +207,12 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
     assert commonroad_plant(DRIFT, file).mass == 1200.0
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"m": None}, "m is missing"),
-        ({"I_z": "heavy"}, "I_z = 'heavy' is no number"),
-        ({"tire": {"p_ky1": math.nan}}, r"tire\.p_ky1 = nan is not finite.*"),
-        ({"steering": {}}, r"steering\.min is missing, steering\.max is missing"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"m": None}, "m is missing"),
+    ({"I_z": "heavy"}, "I_z = 'heavy' is no number"),
+    ({"tire": {"p_ky1": math.nan}}, r"tire\.p_ky1 = nan is not finite.*"),
+    ({"steering": {}}, r"steering\.min is missing, steering\.max is missing"),
+])  # fmt: skip
 def test_what_is_wrong_with_parameters_is_named(change, message):
     parameters = commonroad_parameters(2)
     changed = parameters | {k: (parameters[k] | v if v and isinstance(v, dict) else v) for k, v in change.items()}

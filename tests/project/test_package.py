@@ -69,14 +69,11 @@ def test_every_public_name_resolves_to_a_documented_object():
     assert dir(adaptrack) == sorted(adaptrack.__all__)
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("Mpc", r"Mpc'. Did you mean 'MPC'\?$"),
-        ("loadroad", r"loadroad'. Did you mean 'load_road'\?$"),
-        ("simulat", "no attribute 'simulat'"),
-    ],
-)
+@pytest.mark.parametrize(("name", "words"), [
+    ("Mpc", r"Mpc'. Did you mean 'MPC'\?$"),
+    ("loadroad", r"loadroad'. Did you mean 'load_road'\?$"),
+    ("simulat", "no attribute 'simulat'"),
+])  # fmt: skip
 def test_a_name_that_is_not_public_is_an_attribute_error_with_the_nearest(name, words):
     with pytest.raises(AttributeError, match=words):
         getattr(adaptrack, name)

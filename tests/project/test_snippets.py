@@ -333,13 +333,10 @@ def run_command(arguments, monkeypatch, capsys):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize(
-    ("page", "compared"),
-    [
-        ("extending.md", 'contenders = ["pure-pursuit"]\ncars = ["paper/bicycle"]\n'),
-        ("gallery/controller.md", 'contenders = ["proportional"]\ncars = ["paper"]\n'),
-    ],
-)
+@pytest.mark.parametrize(("page", "compared"), [
+    ("extending.md", 'contenders = ["pure-pursuit"]\ncars = ["paper/bicycle"]\n'),
+    ("gallery/controller.md", 'contenders = ["proportional"]\ncars = ["paper"]\n'),
+])  # fmt: skip
 def test_a_part_of_ones_own_from_a_page_is_simulated_driven_along_a_road_and_compared(
     page, compared, folder, monkeypatch, capsys
 ):

@@ -14,10 +14,11 @@ from tools.fuzz.speed import soak
 from tools.fuzz.speed.claims import Judge
 from tools.fuzz.speed.drives import Episode, draw_drive, draw_episodes
 from tools.fuzz.speed.faults import CROSS, HIDDEN, LISTS, VISIBLE
-from tools.fuzz.speed.ways import Answer, Libraries
+from tools.fuzz.speed.ways import Answer, Libraries, TrackerWay, link_optimised
 from tools.fuzz.speed.world import World
 
 from adaptrack.core.kernel import INTERPRETED
+from exported import link_export
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="thousands of control steps")]
 ROOT = Path(__file__).parents[2]
@@ -26,9 +27,9 @@ ALWAYS = ("finite", "limits", "error", "no answer")
 STEPS = 600
 
 
-@pytest.fixture(scope="module")
-def libraries(tmp_path_factory):
-    return Libraries(tmp_path_factory.mktemp("libraries"))
+@pytest.fixture(scope="module", params=[link_export, pytest.param(link_optimised, marks=pytest.mark.slow)])
+def libraries(request, tmp_path_factory):
+    return Libraries(tmp_path_factory.mktemp("libraries"), request.param)
 
 
 def drive_with(fault, steps=STEPS):
@@ -45,9 +46,9 @@ def broken_always(outcome):
 
 
 @pytest.mark.parametrize("fault", ["absurd stamps", "absurd motion stamp", "absurd numbers", "clock jumps"])
-def test_requests_are_finite_and_within_the_limits_of_the_car_whatever_comes_in(fault, libraries):
+def test_requests_are_finite_and_within_the_limits_of_the_car_whatever_comes_in(fault):
     drive = drive_with(fault)
-    outcome = soak.Run(drive, soak.make_way(drive, "tracker", libraries)).finish()
+    outcome = soak.Run(drive, TrackerWay(drive)).finish()
     assert outcome.figures.steps == STEPS or outcome.is_lost
     assert broken_always(outcome) == []
 

@@ -10,10 +10,10 @@ after a gap of 2 s there are forty.
 from __future__ import annotations
 
 import copy
+import functools
 import itertools
 import math
 import sys
-from functools import partial
 from types import FrameType
 from typing import Any
 
@@ -24,8 +24,9 @@ from adaptrack.control.controllers import PurePursuit
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.road import Stop, plan_speed, road_through
+from adaptrack.road import Road, SpeedPlan, Stop, plan_speed, road_through
 
+CAR = load_vehicle("midsize-sedan")
 LARGEST_RATIO = 50
 TIMES = (1.7e18, -1.7e18, 1e300, -1e300, 1e10, 3600.0, -3600.0, 1.7e9, math.inf, 0.0)
 """s, of a call among calls at 0 to 1.5 s."""
@@ -41,14 +42,20 @@ class UnboundedCall(Exception):
     """A call that runs through too many lines."""
 
 
-def make_tracker(closed: bool, driver: bool) -> Tracker:
-    """A tracker on a lap or an open path with two stops, after 30 calls."""
+@functools.cache
+def make_plan(closed: bool) -> tuple[Road, SpeedPlan]:
+    """A lap or an open path with two stops, and the plan of its speed."""
     angle = np.linspace(0.0, 2.0 * math.pi, 36, endpoint=False)
     circle = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     straight = np.stack([np.arange(0.0, 200.0, 5.0), np.zeros(40)], axis=-1)
-    road, car = road_through(circle if closed else straight, closed=closed), load_vehicle("midsize-sedan")
-    plan = plan_speed(road, car, stops=[Stop(40.0, 1.0), Stop(60.0, 1.0)], top_speed=SPEED)
-    tracker = Tracker(PurePursuit(car, period=PERIOD), road, plan=plan, speed=SpeedControl(car))
+    road = road_through(circle if closed else straight, closed=closed)
+    return road, plan_speed(road, CAR, stops=[Stop(40.0, 1.0), Stop(60.0, 1.0)], top_speed=SPEED)
+
+
+def make_tracker(closed: bool, driver: bool) -> Tracker:
+    """A tracker on a lap or an open path, after 30 calls."""
+    road, plan = make_plan(closed)
+    tracker = Tracker(PurePursuit(CAR, period=PERIOD), road, plan=plan, speed=SpeedControl(CAR))
     for k in range(CALLS):
         step(tracker, k, driver)
     return tracker
@@ -88,7 +95,7 @@ def unbounded_calls(times: tuple[float, ...] = TIMES, laps: tuple[bool, ...] = (
     found = []
     for closed, driver in itertools.product(laps, (True, False)):
         tracker = make_tracker(closed, driver)
-        usual = count_lines(partial(step, copy.deepcopy(tracker), CALLS, driver))
+        usual = count_lines(functools.partial(step, copy.deepcopy(tracker), CALLS, driver))
         for field, time, is_lost in itertools.product(FIELDS, times, (True, False)):
             if field in ("clock", "now") and not math.isfinite(time):
                 continue
@@ -97,7 +104,7 @@ def unbounded_calls(times: tuple[float, ...] = TIMES, laps: tuple[bool, ...] = (
                 stamps["now"] = PERIOD * CALLS
             try:
                 for k, far in ((CALLS, stamps), (CALLS + 1, {})):
-                    count_lines(partial(step, twin, k, driver, is_lost, **far), LARGEST_RATIO * usual)
+                    count_lines(functools.partial(step, twin, k, driver, is_lost, **far), LARGEST_RATIO * usual)
             except UnboundedCall:
                 way = "a lap" if closed else "an open path"
                 found.append(f"{field} = {time:g} s on {way}, driver {driver}, position lost {is_lost}")

@@ -7,6 +7,7 @@ import math
 import re
 import struct
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -128,18 +129,24 @@ class _Speeds(ctypes.Structure):
     )  # fmt: skip
 
 
+def link_optimised(folder: Path) -> Path:
+    """Compile an export by gcc -O2 into a shared library."""
+    program = folder / "tracker.so"
+    options = ["-std=c99", "-O2", *EXACT_OPTIONS, "-shared", "-fPIC", f"-I{folder}/include"]
+    command = ["gcc", *options, *map(str, sorted((folder / "src").glob("*.c"))), "-o"]
+    run = subprocess.run([*command, str(program)], capture_output=True, text=True)
+    if run.returncode != 0:
+        raise InvalidInput(f"gcc does not link {folder}: {run.stderr}")
+    return program
+
+
 class Library:
     """The exported library of a variant, loaded into this process."""
 
-    def __init__(self, drive: Drive, folder: Path) -> None:
+    def __init__(self, drive: Drive, folder: Path, link: Callable[[Path], Path]) -> None:
         route = drive.routes[0]
         export_c(drive.controller(), folder, plan=None, speed=drive.speed_control)
-        program = folder / "tracker.so"
-        options = ["-std=c99", "-O2", *EXACT_OPTIONS, "-shared", "-fPIC", f"-I{folder}/include"]
-        command = ["gcc", *options, *map(str, sorted((folder / "src").glob("*.c"))), "-o"]
-        run = subprocess.run([*command, str(program)], capture_output=True, text=True)
-        if run.returncode != 0:
-            raise InvalidInput(f"gcc does not link {folder}: {run.stderr}")
+        program = link(folder)
         assert route.plan.speed.max() <= TOP_SPEED
         header = (folder / "include" / "adaptrack.h").read_text()
         self.sample, self.answer = _structure(header, "adaptrack_sample"), _structure(header, "adaptrack_answer")
@@ -157,13 +164,13 @@ def place_of(array: Any) -> ctypes.c_void_p:
 class Libraries:
     """The libraries of all variants, each made when it is first needed."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._libraries = folder, dict[Variant, Library]()
+    def __init__(self, folder: Path, link: Callable[[Path], Path] = link_optimised) -> None:
+        self._folder, self._libraries, self._link = folder, dict[Variant, Library](), link
 
     def library(self, drive: Drive) -> Library:
         """The library that takes the constants of a drive."""
         if drive.variant not in self._libraries:
-            self._libraries[drive.variant] = Library(drive, self._folder / f"export{len(self._libraries)}")
+            self._libraries[drive.variant] = Library(drive, self._folder / f"export{len(self._libraries)}", self._link)
         return self._libraries[drive.variant]
 
 
