@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tools.fuzz.constants import CONTROLLERS as FUZZED
-from tools.fuzz.constants import NOT_READ, Library, data_places, search_constants, unnoticed
+from tools.fuzz.constants import NOT_READ, Library, search_constants, unnoticed
 from typer.testing import CliRunner
 
 import adaptrack as at
@@ -28,8 +28,9 @@ from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.roads.road import LINE_NUMBERS
 from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
+from adaptrack.export.memory import FILE_HEAD
 from adaptrack.export.recorded_drive import record_drive
-from adaptrack.export.tracking import Twin, tracking_block
+from adaptrack.export.tracking import Twin, tracking_memory
 from adaptrack.road import Comfort, plan_speed, road_through
 from adaptrack.road.speed import constant_speed
 from exported import CPath, CTracker, Exported
@@ -173,7 +174,7 @@ def test_a_state_is_refused_under_other_constants_or_another_path(library_of, wa
 
 def another_tuning(way, library, **tuning):
     """The constants of the same controller, tuned otherwise."""
-    return tracking_block(library.controller.with_tuning(tuning)).content
+    return tracking_memory(library.controller.with_tuning(tuning)).content
 
 
 def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, way):
@@ -193,34 +194,39 @@ def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, wa
     assert any(a.command != b.command for a, b in zip(changed, expected, strict=True))
 
 
-def constants_with(block, place, value, kind="<d"):
-    """The constants with another word at a byte, and the checksum of that."""
-    content = bytearray(block.content)
-    struct.pack_into(kind, content, place, value)
-    content[12:16] = struct.pack("<I", zlib.crc32(bytes(content[16:])))
-    return bytes(content)
+OUTSIDE = {"BETWEEN": (math.nan, 1e300, -1e300), "NUMBER": (math.nan,), "EXACT": (1e300, 5e-324)}
+"""Numbers that no constant with this rule may be."""
 
 
 @pytest.mark.parametrize("name", ["informed", "learning", "nn", "lqr"])
-def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checksum(name, library_of, way):
+def test_numbers_out_of_bounds_are_refused_under_a_right_checksum(name, library_of, way):
     export = library_of(name)
-    block = tracking_block(export.controller)
-    places, mpc = data_places(block), "controller.mpc.settings."
-    words = {block.words["tracker.settings"]: 5e-324, block.words["tracker.settings"] + 1: math.nan}
-    if name == "lqr":
-        words[block.words["controller.law.parameters"] + 11] = 1e6  # nodes of a grid
-    else:
-        words |= {block.words[mpc + "longest_horizon"]: 5e-324, block.words[mpc + "period"]: 1e-9}
-    for array in block.arrays:
-        words |= {array.word + 1 + k: 1e300 for k in range(len(array.sizes))}
-    driving = start_tracker(export, way)
-    before = driving.raw.copy()
-    for word, value in words.items():
-        if word in places:
-            content = constants_with(block, places[word], value)
-            assert CTracker(export).init(content) == exported.DAMAGED, word
-            assert driving.load(content) in (exported.DAMAGED, exported.OTHER_SIZES), word
+    memory, driving = tracking_memory(export.controller), start_tracker(export, way)
+    before, first = driving.raw.copy(), FILE_HEAD.size // 8
+    numbers = [number for part in memory.numbers.values() for number in part]
+    for word in [i for i, number in enumerate(numbers) if i < 400 or number.name][:1500]:
+        for value in OUTSIDE.get(numbers[word].bounds.rule, ()):
+            content = exported.with_word(export.constants, first + word, value)
+            expected = exported.OK if float(numbers[word].text) == value else exported.DAMAGED
+            assert driving.load(content) == expected, numbers[word]
     assert (driving.raw == before).all()
+
+
+def test_a_tracker_begins_with_the_numbers_of_python(library_of):
+    for name in ("informed", "learning", "nn", "stanley"):
+        export = library_of(name)
+        memory, tracker = tracking_memory(export.controller), CTracker(export)
+        state = np.frombuffer(tracker.save(), np.uint64)[FILE_HEAD.size // 8 :]
+        at = 0
+        for gap, member in zip(memory._gaps, memory.state, strict=False):
+            at += gap
+            words = state[at : at + member.words.size]
+            expected = member.words
+            if member.name != "tracker.sample":  # the next call writes it
+                is_nan = np.isnan(words.view(float)) & np.isnan(expected.view(float))
+                assert ((words == expected) | is_nan).all(), member.name
+            at += member.words.size
+        assert at == state.size
 
 
 @pytest.fixture(scope="module")
@@ -336,7 +342,7 @@ def test_flushed_subnormals_and_other_rounding_are_refused(library_of, way, tmp_
 @pytest.mark.parametrize("option", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
 def test_a_file_compiled_without_nan_is_refused_with_the_option_by_name(option, library_of, tmp_path):
     export = library_of("informed")
-    for source in (export.folder / "main.c", export.folder / "src" / "adaptrack_block.c"):
+    for source in (export.folder / "main.c", export.folder / "src" / "adaptrack_memory.c"):
         command = [find_program("gcc"), option, f"-I{export.folder}/include", f"-I{export.folder}/src",
                    f"-I{export.folder}", "-c", str(source), "-o", str(tmp_path / "a.o")]  # fmt: skip
         run = subprocess.run(command, capture_output=True, text=True)
@@ -443,17 +449,17 @@ def test_what_is_python_is_refused_by_name_and_nothing_is_written(make, message,
 
 def test_what_a_controller_has_learned_travels(library_of):
     mpc = CONTROLLERS["learning"]()
-    before = tracking_block(mpc)
+    before = tracking_memory(mpc)
     for k in range(200):
         mpc.step([0.0, 0.0, 0.02 * math.sin(k / 9), 0.1 * math.sin(k / 20)], 15.0, np.zeros(1))
-    after = tracking_block(mpc)
-    assert after.header.layout == before.header.layout
+    after = tracking_memory(mpc)
+    assert after.layout == before.layout
     assert after.checksum != before.checksum
     tracker = CTracker(library_of("learning"))
+    learned = mpc.learner.restart_memory(mpc._mpc.informed.learned[0]).tobytes()
+    assert learned not in tracker.save()
     assert tracker.load(after.content) == exported.OK
-    first = tracker.MARGIN + 8 + after.words["controller.mpc.informed.learned"]
-    learned = mpc.learner.restart_memory(mpc._mpc.informed.learned[0])
-    assert tracker.raw[first : first + learned.size].tobytes() == learned.tobytes()
+    assert learned in tracker.save()
 
 
 def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
