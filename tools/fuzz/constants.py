@@ -139,12 +139,12 @@ class Library:
         nan = ctypes.c_double(math.nan)
         return error or self._call("follow", self.tracker, self.path, nan, None)
 
-    def notices(self, constants: bytes) -> bool:
-        """Whether the recorded minute refuses constants, or differs under them."""
+    def replay(self, constants: bytes) -> tuple[int, int]:
+        """The error of the recorded minute under constants, and how many of its steps differ."""
         differ, answer = ctypes.c_int(0), np.zeros(8)
-        size = ctypes.c_size_t(len(constants))
         place = answer.ctypes.data_as(ctypes.c_void_p)
-        return self.c.drive_recorded(constants, size, ctypes.byref(differ), place) != 0 or differ.value > 0
+        error = self.c.drive_recorded(constants, ctypes.c_size_t(len(constants)), ctypes.byref(differ), place)
+        return int(error), differ.value
 
     def outcome(self, constants: bytes, under_way: bool) -> str:
         """What becomes of constants that a tracker begins with, or gets under way."""
@@ -209,7 +209,7 @@ def _in_a_child(library: Library, seed: int, first: int, count: int, outcomes: m
 # -- what the recorded minute notices ---------------------------------------------------------------------------------
 NOT_READ, TOO_WEAK = "not read in this configuration", "read, but 1 % changes no decision"
 STRONG = (-37.0, 1e-3, 1e3)
-"""Factors on a constant: one that changes no answer under any of them is not read in this configuration."""
+"""Factors on a constant: one that changes no answer under any of them, where it is taken, is not read in this configuration."""
 
 
 def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
@@ -222,9 +222,9 @@ def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
         if number.bounds.rule == "EXACT" or value == 0.0 or not math.isfinite(value):
             continue
         count += 1
-        if not library.notices(scaled(memory.content, word, 1.01)):
-            read = any(library.notices(scaled(memory.content, word, factor)) for factor in STRONG)
-            misses[name] = TOO_WEAK if read else NOT_READ
+        if library.replay(scaled(memory.content, word, 1.01)) == (0, 0):
+            is_read = any(library.replay(scaled(memory.content, word, factor))[1] for factor in STRONG)
+            misses[name] = TOO_WEAK if is_read else NOT_READ
     return count, misses
 
 

@@ -38,6 +38,8 @@ MEMORY_HEAD_WORDS = 8
 """Words of `adaptrack_head` in C."""
 CACHE_LINE_WORDS = 8
 """Words: an array of so many or more begins at a multiple of it, a cache line, in a memory that begins at one."""
+SHARED = ("period", "angle_min", "angle_max", "move_min", "move_max", "mass", "lf", "lr", "wheelbase")
+"""Names of numbers that are the same wherever they stand among constants."""
 LARGEST_NUMBER = 2**31
 """A whole number of a record beyond it is no count, no flag: it is an address."""
 C_WIDTH = 118
@@ -143,9 +145,11 @@ class Bounds(NamedTuple):
     """What a word of the constants may be."""
 
     rule: str
-    """EXACT: as exported; ANY; NUMBER: any but NaN; BETWEEN: least to most"""
+    """EXACT: as exported; ANY; NUMBER: any but NaN; BETWEEN: least to most; SAME: as another word"""
     least: float = 0.0
     most: float = 0.0
+    same: int = 0
+    """the other word"""
 
 
 class Number(NamedTuple):
@@ -266,15 +270,18 @@ class CMemory:
         return sorted({member.kernel for member in self.links})
 
     # -- sizes --------------------------------------------------------------------------------------------------------
-    @cached_property
-    def _gaps(self) -> list[int]:
-        """Words before each member of the state, so that large ones begin at a cache line; then those of the state."""
-        gaps, at = [], 0
+    def placed_state(self) -> Iterator[tuple[int, Member]]:
+        """The word of the state at which each member begins: large ones at a cache line."""
+        end = 0
         for member in self.state:
             count = member.words.size
-            gaps.append(-at % CACHE_LINE_WORDS if count >= CACHE_LINE_WORDS else 0)
-            at += gaps[-1] + count
-        return [*gaps, at]
+            begin = end + (-end % CACHE_LINE_WORDS if count >= CACHE_LINE_WORDS else 0)
+            yield begin, member
+            end = begin + count
+
+    @cached_property
+    def _state_words(self) -> int:
+        return max(begin + member.words.size for begin, member in self.placed_state())
 
     @property
     def _gap_before_state(self) -> int:
@@ -284,19 +291,31 @@ class CMemory:
     @property
     def size(self) -> int:
         """Bytes that a C program reserves."""
-        words = MEMORY_HEAD_WORDS + record_words(type(self.record)) + self._gap_before_state + self._gaps[-1]
+        words = MEMORY_HEAD_WORDS + record_words(type(self.record)) + self._gap_before_state + self._state_words
         return 8 * words + len(self.content)
 
     @property
     def state_size(self) -> int:
         """Bytes of a saved state."""
-        return FILE_HEAD.size + 8 * self._gaps[-1]
+        return FILE_HEAD.size + 8 * self._state_words
 
     # -- constants ----------------------------------------------------------------------------------------------------
     @cached_property
     def numbers(self) -> dict[str, list[Number]]:
         """The words of each member of the constants."""
-        return {member.name: list(self._numbers_of(member)) for member in self.constants}
+        numbers: dict[str, list[Number]] = {}
+        first: dict[tuple[str, str], int] = {}
+        word = FILE_HEAD.size // 8
+        for member in self.constants:
+            numbers[member.name] = part = list(self._numbers_of(member))
+            for i, number in enumerate(part):
+                known = number.name.rpartition(".")[2], number.text
+                if known in first:
+                    part[i] = number._replace(bounds=Bounds("SAME", same=first[known]))
+                elif known[0] in SHARED:
+                    first[known] = word
+                word += 1
+        return numbers
 
     def _numbers_of(self, member: Member) -> Iterator[Number]:
         kind, free = member.number_kind, "ANY" if member.name in self.roles.unknown else "NUMBER"
@@ -316,11 +335,12 @@ class CMemory:
 
     @cached_property
     def layout(self) -> int:
-        """CRC-32 of names, sizes, whole numbers, and which numbers are unknown."""
+        """CRC-32 of names, sizes, whole numbers, and which numbers are unknown or the same."""
         shapes = [(member.name, member.kernel, member.values.shape) for member in self.members]
         exact = [(name, i, number.text) for name, numbers in self.numbers.items()
                  for i, number in enumerate(numbers) if number.bounds.rule == "EXACT"]  # fmt: skip
-        return zlib.crc32(repr((shapes, exact)).encode())
+        same = [number.bounds.same for numbers in self.numbers.values() for number in numbers]
+        return zlib.crc32(repr((shapes, exact, same)).encode())
 
     @cached_property
     def content(self) -> bytes:
@@ -336,9 +356,11 @@ class CMemory:
     def structs(self) -> str:
         """The structs in C."""
         state: list[str] = []
-        for gap, member in zip(self._gaps, self.state, strict=False):
-            state += [f"    uint64_t before_{member.c_name}[{gap}];"] if gap else []
+        end = 0
+        for begin, member in self.placed_state():
+            state += [f"    uint64_t before_{member.c_name}[{begin - end}];"] if begin > end else []
             state.append(member.declaration)
+            end = begin + member.words.size
         gap = self._gap_before_state
         return "\n".join([
             "/* Numbers that do not change while the car drives; a file of constants holds the same words. */",
@@ -422,11 +444,11 @@ void adaptrack_renew(struct adaptrack_memory *m) {{
         """The bounds of each word behind the head in C, a row for words in a row that have the same."""
         lines, first = [], FILE_HEAD.size // 8
         numbers = [(name, number) for name, part in self.numbers.items() for number in part]
-        for (rule, least, most), same in groupby(numbers, lambda named: named[1].bounds):
-            group = list(same)
+        for (rule, least, most, same), named in groupby(numbers, lambda named: named[1].bounds):
+            group = list(named)
             name, number = group[0]
             ends = f"{c_number(least)}, {c_number(most)}"
-            lines.append(f"    {{{first}, {len(group)}, {rule}, {ends}}}, /* {name}: {number.name} */")
+            lines.append(f"    {{{first}, {len(group)}, {rule}, {same}, {ends}}}, /* {name}: {number.name} */")
             first += len(group)
         return "\n".join(["const adaptrack_bounds adaptrack_words[] = {", *lines, "};"])
 

@@ -33,11 +33,12 @@ typedef struct {
     uint64_t reserved[3];
 } adaptrack_head; /* 64 bytes, a cache line */
 
-/* What words of constants may be: as exported, any number but NaN, from least to most, anything. */
-typedef enum { EXACT, NUMBER, BETWEEN, ANY } adaptrack_rule;
+/* What words of constants may be: as exported, any number but NaN, from least to most, as another word, anything. */
+typedef enum { EXACT, NUMBER, BETWEEN, SAME, ANY } adaptrack_rule;
 typedef struct {
     uint32_t first, count; /* words */
     adaptrack_rule rule;
+    uint32_t same; /* the other word */
     double least, most;
 } adaptrack_bounds;
 
