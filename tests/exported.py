@@ -5,96 +5,33 @@ import hashlib
 import math
 import os
 import re
+import struct
 import subprocess
 import zlib
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
-import adaptrack.export
-from adaptrack.core.kernel import EXPORTED
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from programs import find_program
 
-SOURCES = Path(adaptrack.export.__file__).parent / "c"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
 (OK, BAD_ARGUMENT, TOO_SMALL, NOT_READY, BUSY, DAMAGED, OTHER_VERSION, OTHER_KIND, OTHER_SIZES, OTHER_CONSTANTS,
  OTHER_PATH, ARITHMETIC, BAD_PATH, OUT_OF_ORDER) = range(14)  # fmt: skip
 
 
-class Function(ctypes.Structure):
-    _fields_ = (("name", ctypes.c_uint32), ("function", ctypes.c_void_p))
+def sealed(content):
+    """Constants or a saved state with the checksum of their content."""
+    copy = bytearray(content)
+    copy[16:24] = struct.pack("<Q", zlib.crc32(bytes(copy[24:])))
+    return bytes(copy)
 
 
-class Reader(ctypes.Structure):
-    _fields_ = (("kernels", ctypes.c_uint64), ("kind", ctypes.c_uint32), ("functions", ctypes.POINTER(Function)),
-                ("count", ctypes.c_size_t), ("check", ctypes.c_void_p))  # fmt: skip
-
-
-@cache
-def _library(folder, options):
-    shared_object = Path(folder) / f"block{''.join(options)}.so"
-    source = SOURCES / "adaptrack_block.c"
-    command = [find_program("gcc"), *STRICT, *options, "-shared", "-fPIC", str(source), "-o", str(shared_object)]
-    subprocess.run(command, check=True)
-    library = ctypes.CDLL(str(shared_object))
-    library.adaptrack_block_state_size.restype = library.adaptrack_block_memory.restype = ctypes.c_size_t
-    library.adaptrack_block_record.restype = ctypes.c_void_p
-    return library
-
-
-class Memory:
-    """A block laid by the C sources into memory of this process, its functions those of the process.
-
-    options: of the compiler.
-    """
-
-    def __init__(self, block, folder, size=None, options=("-O1",)):
-        self.library, self.block = _library(str(folder), options), block
-        names = block.functions
-        self._functions = (Function * max(len(names), 1))(
-            *[Function(zlib.crc32(name.encode()), EXPORTED[name].address) for name in names]
-        )
-        self.reader = Reader(block.header.kernels, block.header.kind, self._functions, len(names))
-        words = (64 + block.memory_size) // 8 if size is None else size // 8
-        self.raw = np.full(words + 8, 0xA5A5A5A5A5A5A5A5, np.uint64)  # dirty, and a margin behind
-        self.size = 8 * words
-        self.place = ctypes.c_void_p(self.raw.ctypes.data)
-
-    def lay(self, content=None):
-        content = self.block.content if content is None else content
-        return self.library.adaptrack_block_lay(
-            ctypes.byref(self.reader), self.place, ctypes.c_size_t(self.size), content, ctypes.c_size_t(len(content))
-        )
-
-    def renew(self, content):
-        return self.library.adaptrack_block_renew(
-            ctypes.byref(self.reader), self.place, content, ctypes.c_size_t(len(content))
-        )
-
-    def save(self):
-        size = self.library.adaptrack_block_state_size(self.place)
-        state = ctypes.create_string_buffer(size)
-        assert (
-            self.library.adaptrack_block_save(ctypes.byref(self.reader), self.place, state, ctypes.c_size_t(size)) == OK
-        )
-        return state.raw
-
-    def restore(self, state):
-        return self.library.adaptrack_block_restore(
-            ctypes.byref(self.reader), self.place, state, ctypes.c_size_t(len(state))
-        )
-
-    @property
-    def record(self):
-        return ctypes.c_void_p(self.raw.ctypes.data + 64)
-
-    def array(self, name, count):
-        """The first numbers of an array of the record."""
-        first = 8 + self.block.words[name]
-        return self.raw[first : first + count].view(np.float64)
+def with_word(content, word, value, kind="<d"):
+    """A file with another word, and the checksum of that."""
+    copy = bytearray(content)
+    struct.pack_into(kind, copy, 8 * word, value)
+    return sealed(copy)
 
 
 class Sample(ctypes.Structure):
@@ -122,13 +59,13 @@ def text_with_headers(source, folder):
     return "\0".join(texts)
 
 
-def link_export(folder):
+def link_export(folder, options=("-O0", *EXACT_OPTIONS)):
     """A shared library of an export; what exports of this session have in common is compiled once."""
-    command = [find_program("gcc"), *STRICT, "-O0", *EXACT_OPTIONS, "-fPIC", f"-I{folder}/include"]
+    command = [find_program("gcc"), *STRICT, *options, "-fPIC", f"-I{folder}/include"]
     session = next((parent for parent in folder.parents if re.fullmatch(r"pytest-\d+", parent.name)), folder)
     objects, library = [], folder / "tracker.so"
     for source in sorted((folder / "src").glob("*.c")):
-        text = text_with_headers(source, (folder / "src", folder / "include"))
+        text = " ".join(options) + text_with_headers(source, (folder / "src", folder / "include"))
         objects.append(session / f"{hashlib.sha256(text.encode()).hexdigest()}.o")
         if not objects[-1].exists():
             part = folder / f"{source.stem}.o"
@@ -142,9 +79,9 @@ def link_export(folder):
 class Exported:
     """An export, linked into a shared library."""
 
-    def __init__(self, folder, controller):
+    def __init__(self, folder, controller, options=("-O0", *EXACT_OPTIONS)):
         self.folder, self.controller = folder, controller
-        self.c = ctypes.CDLL(str(link_export(folder)))
+        self.c = ctypes.CDLL(str(link_export(folder, options)))
         for name in ("size", "path_size", "state_size"):
             getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
         self.constants = (folder / "constants.bin").read_bytes()

@@ -10,10 +10,14 @@
 #include "adaptrack_replay.h"
 
 #include <string.h>
-#ifndef QP_ITERATIONS
-#define QP_ITERATIONS 0 /* the word of the record that says how many there were */
+#ifdef QP_ITERATIONS /* the number of the state that says how many there were */
+#include "adaptrack_layout.h"
+static double iterations(const adaptrack_tracker *tracker) {
+    return ((const struct adaptrack_memory *)(const void *)tracker)->state.QP_ITERATIONS;
+}
+#else
+static double iterations(const adaptrack_tracker *tracker) { return tracker ? 0.0 : -1.0; }
 #endif
-void *adaptrack_block_record(void *memory);
 
 typedef struct { double numbers[9]; int64_t more[7]; } told;
 static uint32_t counted(void);
@@ -36,7 +40,8 @@ static int drive(adaptrack_tracker *tracker, double *path, const int64_t *given,
         const adaptrack_error error = adaptrack_step(tracker, &sample, &answer);
         counts[2 * k] = counted() - begun;
         answers[k] = (told){.more = {0, 0, 0, 0, 0, 0, error}};
-        memcpy(counts + 2 * k + 1, (const int64_t *)adaptrack_block_record(tracker) + QP_ITERATIONS, 8);
+        const double changes = iterations(tracker);
+        memcpy(counts + 2 * k + 1, &changes, 8);
         answers[k].numbers[0] = answer.command, answers[k].numbers[1] = answer.offset;
         answers[k].numbers[2] = answer.heading_error, answers[k].numbers[3] = answer.station;
         answers[k].more[0] = answer.status, answers[k].more[1] = answer.belief, answers[k].more[2] = answer.at_bound;

@@ -17,7 +17,6 @@ from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.recorded_drive import record_drive
-from adaptrack.export.tracking import speed_part, tracking_block
 from adaptrack.scenario.profile import load_profile
 from programs import try_program
 
@@ -25,7 +24,7 @@ HERE = Path(__file__).parent
 TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm", "gcc")
 WORDS, FLOATS = 16, 9
 """of an answer, of which the first ones are floats"""
-CONSTANTS = "adaptrack_constants"
+CONSTANTS = ("adaptrack_constants", "CONSTANTS")
 HEADERS = {
     "math.h": '#define NAN __builtin_nanf("")\n#define HUGE_VAL __builtin_huge_val()\n',
     "string.h": "#include <stddef.h>\nvoid *memcpy(void *, const void *, size_t);\n",
@@ -94,11 +93,9 @@ class Program:
         rows = np.full((self.count, len(CALL)), np.nan)
         rows[:, : samples.shape[1]] = samples
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
-        part = None if speed is None else speed_part(speed, controller, way[1], speed.car.domain.speed[1])
-        block = tracking_block(controller, speed=part)
-        answer = block.words.get("controller.mpc.answer", 0)
-        at = answer + MPC_ANSWER.qp_iterations if answer else 0
-        self.given = ["-std=gnu11", *EXACT_OPTIONS, "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
+        answer = f"controller_mpc_answer[{MPC_ANSWER.qp_iterations}]"
+        plans = [f"-DQP_ITERATIONS={answer}"] if controller.has_horizons else []
+        self.given = ["-std=gnu11", *EXACT_OPTIONS, "-ffunction-sections", "-fdata-sections", *plans,
                       *[f"-I{self.made.folder}/{folder}" for folder in (".", "include", "src")], str(HERE / "board.c"),
                       *map(str, sorted((self.made.folder / "src").glob("*.c")))]  # fmt: skip
 
@@ -163,7 +160,7 @@ def _code(program):
         ["arm-none-eabi-size", "-A", str(program)], capture_output=True, text=True, check=True
     ).stdout
     sections = {row.split()[0]: int(row.split()[1]) for row in listing.splitlines() if row.startswith(".")}
-    data = sum(size for name, size in _sizes(program).items() if name.startswith(("adaptrack_recorded", CONSTANTS)))
+    data = sum(size for name, size in _sizes(program).items() if name.startswith(("adaptrack_recorded", *CONSTANTS)))
     return sum(sections.get(section, 0) for section in (".text", ".rodata", ".exidx")) - data
 
 

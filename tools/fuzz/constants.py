@@ -26,11 +26,10 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.export.block import BLOCK_HEADER, PRELUDE, Block
-from adaptrack.export.bounds import numbers_of
 from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
-from adaptrack.export.tracking import tracking_block
+from adaptrack.export.memory import FILE_HEAD
+from adaptrack.export.tracking import tracking_memory
 
 CAR = "midsize-sedan"
 CONTROLLERS: dict[str, Callable[[], Controller]] = {
@@ -52,6 +51,8 @@ MARGIN = 64
 CANARY = 0xA5A5A5A5A5A5A5A5
 ACCEPTED = ("driven", "refused")
 OUTCOMES = (*ACCEPTED, "wrong", "crashed", "hung")
+CHECKED_FROM = 24
+"""Byte of a file of constants from which on its checksum counts."""
 SPECIAL = (0, 1, 2, 3, 8, 100, 1 << 31, 1 << 40, 1 << 62, (1 << 64) - 1, (1 << 64) - 100)
 """Words that are counts, places or flags of nothing."""
 FACTORS = (1.01, 2.0, 10.0, -1.0, 1e6, 1e-6)
@@ -60,34 +61,19 @@ NUMBERS = (0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324)
 
 # -- what is changed --------------------------------------------------------------------------------------------------
 def changed(content: bytes, rng: np.random.Generator) -> bytes:
-    """A copy with a word of the data, of the tables or of the header changed, and the checksum of that."""
+    """A copy with one or two words of the numbers or of the head changed, and the checksum of that."""
     copy = bytearray(content)
     for _ in range(1 if rng.random() < 0.8 else 2):
-        _change(copy, rng)
-    copy[12:16] = struct.pack("<I", zlib.crc32(bytes(copy[PRELUDE.size :])))
-    return bytes(copy)
+        is_number = rng.random() < 0.9
+        first, end = (FILE_HEAD.size, len(copy)) if is_number else (CHECKED_FROM, FILE_HEAD.size)
+        _put(copy, "<Q", first + 8 * int(rng.integers((end - first) // 8)), rng)
+    return sealed(copy)
 
 
-def _change(content: bytearray, rng: np.random.Generator) -> None:
-    first, resets, data = _parts(content)
-    part = rng.random()
-    if part < 0.6 and data < len(content):
-        _put(content, "<Q", data + 8 * int(rng.integers((len(content) - data) // 8)), rng)
-    elif part < 0.85 and resets > first:
-        _put(content, "<I", first + 4 * int(rng.integers((resets - first) // 4)), rng)
-    elif part < 0.9 and data > resets:
-        _put(content, "<Q", resets + 8 * int(rng.integers((data - resets) // 8)), rng)
-    else:
-        _put(content, "<I", PRELUDE.size + 8 + 4 * int(rng.integers(12)), rng)
-
-
-def _parts(content: bytearray) -> tuple[int, int, int]:
-    """Bytes at which the tables, the resets and the data of a block begin."""
-    places, links, starts, runs, resets = BLOCK_HEADER.unpack_from(content, PRELUDE.size)[-5:]
-    first = PRELUDE.size + BLOCK_HEADER.size
-    tables = 8 * (places + links + runs) + 12 * starts
-    tables += -tables % 8
-    return first, min(first + tables, len(content)), min(first + tables + 16 * resets, len(content))
+def sealed(content: bytearray) -> bytes:
+    """Constants with the checksum of their content."""
+    content[16:24] = struct.pack("<Q", zlib.crc32(bytes(content[CHECKED_FROM:])))
+    return bytes(content)
 
 
 def _put(content: bytearray, kind: str, place: int, rng: np.random.Generator) -> None:
@@ -153,12 +139,12 @@ class Library:
         nan = ctypes.c_double(math.nan)
         return error or self._call("follow", self.tracker, self.path, nan, None)
 
-    def notices(self, constants: bytes) -> bool:
-        """Whether the recorded minute refuses constants, or differs under them."""
+    def replay(self, constants: bytes) -> tuple[int, int]:
+        """The error of the recorded minute under constants, and how many of its steps differ."""
         differ, answer = ctypes.c_int(0), np.zeros(8)
-        size = ctypes.c_size_t(len(constants))
         place = answer.ctypes.data_as(ctypes.c_void_p)
-        return self.c.drive_recorded(constants, size, ctypes.byref(differ), place) != 0 or differ.value > 0
+        error = self.c.drive_recorded(constants, ctypes.c_size_t(len(constants)), ctypes.byref(differ), place)
+        return int(error), differ.value
 
     def outcome(self, constants: bytes, under_way: bool) -> str:
         """What becomes of constants that a tracker begins with, or gets under way."""
@@ -223,43 +209,28 @@ def _in_a_child(library: Library, seed: int, first: int, count: int, outcomes: m
 # -- what the recorded minute notices ---------------------------------------------------------------------------------
 NOT_READ, TOO_WEAK = "not read in this configuration", "read, but 1 % changes no decision"
 STRONG = (-37.0, 1e-3, 1e3)
-"""Factors on a constant: one that changes no answer under any of them is not read in this configuration."""
+"""Factors on a constant: one that changes no answer under any of them, where it is taken, is not read in this configuration."""
 
 
 def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
     """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason."""
     misses, count = {}, 0
-    block = tracking_block(library.controller)
-    places = data_places(block)
-    for constant, word in numbers_of(block):
-        (value,) = struct.unpack_from("<d", block.content, places[word]) if word in places else (0.0,)
-        if value == 0.0 or not math.isfinite(value):
+    memory = tracking_memory(library.controller)
+    numbers = [(f"{name} {number.name}", number) for name, part in memory.numbers.items() for number in part]
+    for word, (name, number) in enumerate(numbers, FILE_HEAD.size // 8):
+        (value,) = struct.unpack_from("<d", memory.content, 8 * word)
+        if number.bounds.rule == "EXACT" or value == 0.0 or not math.isfinite(value):
             continue
         count += 1
-        if not library.notices(_scaled(block, places, word, 1.01)):
-            read = any(library.notices(_scaled(block, places, word, factor)) for factor in STRONG)
-            misses[constant] = TOO_WEAK if read else NOT_READ
+        if library.replay(scaled(memory.content, word, 1.01)) == (0, 0):
+            is_read = any(library.replay(scaled(memory.content, word, factor))[1] for factor in STRONG)
+            misses[name] = TOO_WEAK if is_read else NOT_READ
     return count, misses
 
 
-def _scaled(block: Block, places: dict[int, int], word: int, factor: float) -> bytes:
-    """The block with a number times a factor; what is learned begins as its twin does."""
-    content, words = bytearray(block.content), [word]
-    fresh = block.words.get("controller.mpc.informed.fresh", 0)
-    learned = block.words.get("controller.mpc.informed.learned", 0)
-    if 0 < fresh <= word and word - fresh + learned in places and word < block.header.first_renewed:
-        words.append(word - fresh + learned)
-    for place in words:
-        (value,) = struct.unpack_from("<d", content, places[place])
-        struct.pack_into("<d", content, places[place], value * factor)
-    content[12:16] = struct.pack("<I", zlib.crc32(bytes(content[PRELUDE.size :])))
-    return bytes(content)
-
-
-def data_places(block: Block) -> dict[int, int]:
-    """The byte of the block at which each word of the memory stands; the others are zero."""
-    first, resets, data = _parts(bytearray(block.content))
-    before = 2 * block.header.places + 2 * block.header.links + 3 * block.header.starts
-    runs = np.frombuffer(block.content[first:resets], np.uint32)[before : before + 2 * block.header.runs]
-    words = np.concatenate([np.arange(begin, begin + length) for begin, length in runs.reshape(-1, 2)])
-    return {int(word): data + 8 * i for i, word in enumerate(words)}
+def scaled(content: bytes, word: int, factor: float) -> bytes:
+    """The constants with a number times a factor."""
+    copy = bytearray(content)
+    (value,) = struct.unpack_from("<d", copy, 8 * word)
+    struct.pack_into("<d", copy, 8 * word, value * factor)
+    return sealed(copy)

@@ -1,1 +1,1 @@
-"""A controller leaves Python: its constants as a block of bytes, and the C sources around the compiled kernels."""
+"""A controller leaves Python: its constants, and the C sources around the kernels."""

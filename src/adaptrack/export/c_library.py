@@ -27,25 +27,24 @@ from adaptrack.core.roads import path, road
 from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
-from adaptrack.export import bounds
-from adaptrack.export.block import Block
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
+from adaptrack.export.memory import CMemory, kernels_number
 from adaptrack.export.recorded_drive import Recorded, record_drive
-from adaptrack.export.tracking import SpeedPart, refuse, speed_part, tracking_block
+from adaptrack.export.tracking import SpeedPart, refuse, speed_part, tracking_memory
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
 from adaptrack.scenario.profile import Profile, load_profile
 
 C_SOURCES = Path(__file__).parent / "c"
 FOLDERS = {
     "include": ("adaptrack.h", "adaptrack.hpp", "adaptrack_error.h"),
-    "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h", "adaptrack_bounds.c", "adaptrack_bounds.h"),
+    "src": ("adaptrack.c", "adaptrack_memory.c", "adaptrack_memory.h"),
     ".": ("main.c", "times.c", "adaptrack_replay.h", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
 }
 """Where the files that are the same for all go."""
 CALLED = ("tracker_step", "tracker_engage", "tracker_follow", "path_words", "path_through")
 """Kernels that `adaptrack.c` calls; with a speed control also `SPEED_CALLED`."""
-SIZES_KERNEL = "mpc_sizes"
-"""Kernel that `adaptrack_bounds.c` calls for the constants of an MPC."""
+PREPARE_MPC = "mpc_prepare"
+"""Kernel that it calls for an MPC."""
 SPEED_CALLED = ("longitudinal_begin", "longitudinal_follow", "longitudinal_release", "longitudinal_acknowledge",
                 "speed_path_words", "write_speed_path", "horizon_cells")  # fmt: skip
 CONSTANTS_FILE = "constants.bin"
@@ -56,6 +55,7 @@ C_TYPES = {"status": "adaptrack_status", "suspect": "uint64_t", "speed_state": "
 """Types of whole numbers that are not int."""
 MEMBER_NAMES = {"belief_state": "belief", "belief_at_bound": "at_bound"}
 """Names of members that differ from those of the signals."""
+WRITTEN = "/* adaptrack: written by adaptrack.export. */"
 C_WIDTH = 120
 """Characters in a line of C."""
 
@@ -126,17 +126,17 @@ def export_c(
     way = load_road(road) if isinstance(road, str) else road
     speed_plan = plan_speed(way, controller.vehicle) if plan is None else plan
     part = None if speed is None else speed_part(speed, controller, speed_plan, speed.car.domain.speed[1])
-    block = tracking_block(controller, room, furthest, part)
+    memory = tracking_memory(controller, room, furthest, part)
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
     recorded = record_drive(controller, driven_car, way, speed_plan, world, furthest=furthest, speed=part)
-    texts = _texts(controller, block, recorded, part)
+    texts = _texts(controller, memory, recorded, part)
     target = Path(folder)
-    contents = {target / place: content for place, content in {**texts, CONSTANTS_FILE: block.content}.items()}
+    contents = {target / place: content for place, content in {**texts, CONSTANTS_FILE: memory.content}.items()}
     with keep_replaced(*contents) as backups:
         for file, content in contents.items():
             _write(file, content)
     return CExport(
-        target, len(block.content), block.laid_size, block.saved_size, len(recorded.samples),
+        target, len(memory.content), memory.size, memory.state_size, len(recorded.samples),
         recorded.failed, tuple(backups),
     )  # fmt: skip
 
@@ -144,28 +144,28 @@ def export_c(
 # -- texts ------------------------------------------------------------------------------------------------------------
 def _texts(
     controller: Controller,
-    block: Block,
+    memory: CMemory,
     recorded: Recorded,
     speed: SpeedPart | None,
 ) -> dict[str, bytes]:
     """The files that are text, by their places in the folder."""
     words = {
         "VERSION": __version__, "CONTROLLER": repr(controller),
-        "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{block.laid_size:,}",
-        "STATE_SIZE": f"{block.saved_size:,}", "PERIOD": f"{controller.period:g}",
+        "CONSTANTS_SIZE": f"{len(memory.content):,}", "SIZE": f"{memory.size:,}",
+        "STATE_SIZE": f"{memory.state_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
         "EXACT": " ".join(EXACT_OPTIONS), **signal_texts(),
     }  # fmt: skip
-    sizes = (SIZES_KERNEL,) if "step_mpc" in block.functions else ()
-    called = (*CALLED, *(SPEED_CALLED if speed else ()), *sizes, *block.functions)
+    prepare = (PREPARE_MPC,) if controller.has_horizons else ()
+    called = (*CALLED, *(SPEED_CALLED if speed else ()), *prepare, *memory.functions)
     texts = {f"src/{name}": text for name, text in kernel_sources(called).items()}
     for folder, names in FOLDERS.items():
         for name in names:
             texts[f"{folder}/{name}"] = _filled((C_SOURCES / name).read_text(encoding="utf-8"), words)
-    texts["include/adaptrack_config.h"] = _config(controller, block, speed)
-    texts["src/adaptrack_parts.h"] = _parts_header(block)
-    texts["src/adaptrack_parts.c"] = _parts(block)
-    texts["src/adaptrack_constants.c"] = _constants(block)
+    texts["include/adaptrack_config.h"] = _config(controller, memory, speed)
+    texts["src/adaptrack_layout.h"] = _layout_header(memory)
+    texts["src/adaptrack_layout.c"] = f"{WRITTEN}\n#include \"adaptrack_layout.h\"\n\n{memory.connections()}"
+    texts["src/adaptrack_constants.c"] = _constants(memory)
     texts["adaptrack_recorded.h"] = _recorded(recorded, speed)
     return {name: text.encode() for name, text in texts.items()}
 
@@ -182,7 +182,7 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
     return text
 
 
-def _config(controller: Controller, block: Block, speed: SpeedPart | None) -> str:
+def _config(controller: Controller, memory: CMemory, speed: SpeedPart | None) -> str:
     suspects = "\n".join(
         f"#define ADAPTRACK_SUSPECT_{name.upper()} (UINT64_C(1) << {bit})" for bit, name in enumerate(MISTAKES._fields)
     )
@@ -195,9 +195,9 @@ def _config(controller: Controller, block: Block, speed: SpeedPart | None) -> st
 #define ADAPTRACK_VERSION "{__version__} kernels {library.kernels_hash()}"
 #define ADAPTRACK_PERIOD {controller.period!r} /* s, from one control instant to the next */
 #define ADAPTRACK_REAR_AXLE {controller.vehicle.lr!r} /* m, from the centre of mass back to the rear axle */
-#define ADAPTRACK_SIZE {block.laid_size} /* bytes of a tracker with these constants */
-#define ADAPTRACK_STATE_SIZE {block.saved_size} /* bytes of its saved state */
-#define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
+#define ADAPTRACK_SIZE {memory.size} /* bytes of a tracker with these constants */
+#define ADAPTRACK_STATE_SIZE {memory.state_size} /* bytes of its saved state */
+#define ADAPTRACK_CONSTANTS_SIZE {len(memory.content)} /* bytes */
 #define ADAPTRACK_MOST_POINTS {MAX_C_POINTS} /* of a path, and of a plan */
 
 /* Bits of adaptrack_answer.suspect: what an input seems to be. */
@@ -206,7 +206,7 @@ def _config(controller: Controller, block: Block, speed: SpeedPart | None) -> st
 #ifdef __cplusplus
 extern "C" {{
 #endif
-extern const unsigned char adaptrack_constants[ADAPTRACK_CONSTANTS_SIZE];
+extern const void *const adaptrack_constants; /* of this export */
 #ifdef __cplusplus
 }}
 #endif
@@ -238,53 +238,38 @@ def _printable(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /")
 
 
-def _parts_header(block: Block) -> str:
-    """Numbers of the kernels that the interface needs, and places in constants."""
-    numbers = {
+def _layout_header(memory: CMemory) -> str:
+    """The structs of memory and constants, and numbers of the kernels that the interface needs."""
+    record = memory.record
+    has_speed = bool(record.longitudinal.ahead.size)
+    numbers: dict[str, object] = {
         "ROAD_LENGTH": road.LENGTH, "ROAD_SPACING": road.HEADING_SPACING, "ROAD_NUMBERS": len(road.LINE_NUMBERS),
-        "PIECE_COLUMNS": road.PIECE_COLUMNS, "PATH_TOO_SMALL": path.TOO_SMALL,
+        "PIECE_COLUMNS": road.PIECE_COLUMNS, "PATH_TOO_SMALL": path.TOO_SMALL, "PLAN_SPACING": f"{PLACE_SPACING!r} /* m */",
+        "PLANS": record.controller.plans, "LEARNS": int(record.controller.mpc.informed.fresh.size > 0),
+        "KERNELS": f"{kernels_number():#x}u", "LAYOUT": f"{memory.layout:#x}u",
     }  # fmt: skip
-    if bounds.has_speed_control(block):
-        cells = next(array.sizes[0] for array in block.arrays if array.name == "longitudinal.ahead")
+    if has_speed:
+        cells = record.longitudinal.ahead.size
         numbers |= {"LONGITUDINAL_CELLS": cells, "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL}
-    numbers |= bounds.places(block)
     lines = [f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()]
     return "\n".join(
         [
-            "/* adaptrack: numbers of the kernels, and places in constants. Written by adaptrack.export. */",
-            "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_bounds.h"', "",
-            *lines, f"#define ADAPTRACK_PLAN_SPACING {PLACE_SPACING!r} /* m */", "",
-            "extern const adaptrack_array adaptrack_arrays[];", "extern const adaptrack_bound adaptrack_bounds[];",
-            "extern const adaptrack_initial adaptrack_initials[];", "extern const adaptrack_equal adaptrack_equals[];",
-            "extern const uint32_t adaptrack_links[];", "extern const adaptrack_reader adaptrack_parts;", "#endif", "",
+            WRITTEN, "#ifndef ADAPTRACK_LAYOUT_H", "#define ADAPTRACK_LAYOUT_H", '#include "adaptrack_memory.h"',
+            '#include "records.h"', "", *lines, "", memory.structs(), "",
+            "/* What each word of constants may be. */", "extern const adaptrack_bounds adaptrack_words[];",
+            "/* Give the record its arrays and its kernels. */", "void adaptrack_connect(struct adaptrack_memory *);",
+            "/* Give it the numbers of the constants, and let what follows from them begin as they say. */",
+            "void adaptrack_renew(struct adaptrack_memory *);", "#endif", "",
         ]
     )  # fmt: skip
 
 
-def _parts(block: Block) -> str:
-    """Which kernels the constants call, and the bounds of their numbers."""
-    header = block.header
-    declarations = [f"extern void adaptrack_{name}(void);" for name in block.functions]
-    rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
+def _constants(memory: CMemory) -> str:
     return "\n".join(
         [
-            "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
-            '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
-            "",
-            "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
-            f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
-            f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block), "",
-        ]
-    )  # fmt: skip
-
-
-def _constants(block: Block) -> str:
-    lines = [",".join(str(byte) for byte in block.content[i : i + 32]) for i in range(0, len(block.content), 32)]
-    return "\n".join(
-        [
-            "/* adaptrack: the constants, as in constants.bin. Written by adaptrack.export. */",
-            '#include "adaptrack_config.h"', "",
-            "const unsigned char adaptrack_constants[ADAPTRACK_CONSTANTS_SIZE] = {", ",\n".join(lines), "};", "",
+            WRITTEN, '#include "adaptrack_config.h"', '#include "adaptrack_layout.h"', "", "#include <math.h>", "",
+            "/* The constants, as in constants.bin; units stand at the structs. */", memory.initialiser(),
+            "const void *const adaptrack_constants = &CONSTANTS;", "", memory.bounds(), "",
         ]
     )  # fmt: skip
 

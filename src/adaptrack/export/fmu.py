@@ -25,7 +25,7 @@ from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
-from adaptrack.export.block import Block, pack
+from adaptrack.export.image import Image, image_of
 from adaptrack.export.units import (
     CONSTANT_VALUE,
     INPUT_VALUE,
@@ -108,12 +108,12 @@ def write_fmu(
     path = Path(path)
     if path.suffix != ".fmu":
         raise InvalidInput(f"{path}: must end in .fmu.")
-    block = constants(unit)
-    token = f"{{{zlib.crc32(block.content):08x}}}"
+    content = constants(unit).content
+    token = f"{{{zlib.crc32(content):08x}}}"
     name = f"adaptrack_{unit.name}"
     files = {
         "modelDescription.xml": description(unit, token, version),
-        "resources/constants.bin": block.content,
+        "resources/constants.bin": content,
         **dict(_binaries(name, version, platforms)),
         **{f"sources/{source}": text.encode() for source, text in fmu_build.sources().items()},
         "documentation/index.html": _page(unit).encode(),
@@ -121,29 +121,23 @@ def write_fmu(
     }
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for place, content in files.items():
+        for place, file in files.items():
             entry = zipfile.ZipInfo(place, _DATE)
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o755 << 16
-            archive.writestr(entry, content)
+            archive.writestr(entry, file)
     write_atomically(path, buffer.getvalue())
     return path
 
 
-def constants(unit: Unit) -> Block:
-    """The record of a unit as bytes.
+def constants(unit: Unit) -> Image:
+    """The record of a unit as a file.
 
     Raises
     ------
     InvalidInput
         When it holds a function that is none of the package's.
     """
-    block = pack(unit.record, type(unit.record).__name__, unit.roles)
-    missing = [function for function in block.functions if function not in fmu_build.UNIT_MEMBERS]
-    if missing:
-        raise InvalidInput(
-            f"export fmu: {', '.join(missing)}: not among the kernels of an FMU; a plant is single-track or dual-track."
-        )
-    return block
+    return image_of(unit.record, unit.constants, fmu_build.UNIT_MEMBERS)
 
 
 def _binaries(name: str, version: str, platforms: Sequence[str]) -> Iterator[tuple[str, bytes]]:

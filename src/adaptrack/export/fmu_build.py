@@ -14,7 +14,6 @@ import platform
 import subprocess
 import sys
 import tempfile
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -22,16 +21,17 @@ from pathlib import Path
 
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import write_atomically
-from adaptrack.core import library
 from adaptrack.core.build.compile import DLL_FILE, compiler
 from adaptrack.core.build.run_time import cache_path
 from adaptrack.core.build.units import PLANTS, TRACKERS, UNIT_KERNELS
+from adaptrack.export.image import unit_number
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
+from adaptrack.export.memory import kernels_number
 
 HERE = Path(__file__).parent
 FMU_SOURCES = (
     *(HERE / "fmu_c" / name for name in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
-    *(HERE / "c" / name for name in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
+    *(HERE / "c" / name for name in ("adaptrack_memory.c", "adaptrack_memory.h", "adaptrack_error.h")),
 )
 WINDOWS_SOURCES = (DLL_FILE, HERE / "fmu_c" / "windows.c")
 LICENSE = HERE / "c" / "LICENSE"
@@ -92,16 +92,16 @@ def _units_table() -> str:
     declared += "".join(
         f"extern int64_t adaptrack_{kernel}(void *);\n" for pair in UNIT_KERNELS.values() for kernel in pair
     )
-    rows = "".join(f"    {{{zlib.crc32(member.encode()):#x}u, adaptrack_{member}}},\n" for member in UNIT_MEMBERS)
+    members = "".join(f"    adaptrack_{member},\n" for member in UNIT_MEMBERS)
     units = "".join(
-        f"    {{{{{int(library.kernels_hash(), 16):#x}u, {zlib.crc32(name.encode()):#x}u, MEMBERS, "
-        f"sizeof MEMBERS / sizeof *MEMBERS, 0}}, adaptrack_{begin}, adaptrack_{step}}},\n"
+        f"    {{{unit_number(name):#x}u, adaptrack_{begin}, adaptrack_{step}}}, /* {name} */\n"
         for name, (begin, step) in UNIT_KERNELS.items()
     )
     return (
         f'/* Written by adaptrack.export.fmu_build. */\n#include "fmu.h"\n\n{declared}\n'
-        f"static const adaptrack_function MEMBERS[] = {{\n{rows}}};\n\nconst fmu_unit FMU_UNITS[] = {{\n{units}}};\n"
-        "const size_t FMU_COUNT = sizeof FMU_UNITS / sizeof *FMU_UNITS;\n"
+        f"const uint64_t FMU_KERNELS = {kernels_number():#x}u;\n"
+        f"const fmu_member FMU_MEMBERS[] = {{\n{members}}};\nconst size_t FMU_MEMBER_COUNT = {len(UNIT_MEMBERS)};\n"
+        f"const fmu_unit FMU_UNITS[] = {{\n{units}}};\nconst size_t FMU_COUNT = {len(UNIT_KERNELS)};\n"
     )
 
 

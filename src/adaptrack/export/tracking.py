@@ -1,4 +1,4 @@
-"""A controller with its tracker as a block: what of it is constant, what is state, and who cannot be exported."""
+"""A controller with its tracker as a memory in C: what of it is constant, what is state, and who cannot be exported."""
 
 from __future__ import annotations
 
@@ -15,39 +15,57 @@ from adaptrack.control.controllers.base import Room
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
 from adaptrack.control.tracker import tracking_of
+from adaptrack.core.controllers import lqr, pure_pursuit, stanley
+from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.input_check.record import Settings as CheckSettings
 from adaptrack.core.kernel import direct
+from adaptrack.core.models import path
+from adaptrack.core.models.car import SingleTrackCar
 from adaptrack.core.speed.speed_control import SPEED_REQUEST, SpeedPath
 from adaptrack.core.tracker.longitudinal import write_requests
 from adaptrack.core.tracker.step import tracker_step
-from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack
+from adaptrack.export.memory import ArrayRoles, CMemory, kernel_names
 from adaptrack.road import Road, SpeedPlan
 
-ROLES = {
-    "tracker.settings": ArrayRole.FIXED,
-    "tracker.check.settings": ArrayRole.FIXED,
-    "controller.first_tuning": ArrayRole.FIXED,
-    "controller.law.parameters": ArrayRole.FIXED,
-    "controller.mpc.feed.turning": ArrayRole.RENEWED,
-    "controller.mpc.informed.estimator": ArrayRole.RENEWED,
-    "controller.mpc.informed.fresh": ArrayRole.FIXED,
-    "controller.mpc.informed.learner": ArrayRole.FIXED,
-    "controller.mpc.model": ArrayRole.RENEWED,
-    "controller.mpc.parameters": ArrayRole.RENEWED,
-    "controller.mpc.states": ArrayRole.FIXED,
-    "controller.mpc.ws.moves": ArrayRole.FIXED,
-    "controller.mpc.ws.rows": ArrayRole.RENEWED,
-    "controller.schedule.integers": ArrayRole.FIXED,
-    "controller.schedule.numbers": ArrayRole.FIXED,
-    "controller.schedule.settings": ArrayRole.FIXED,
-    "controller.tuning": ArrayRole.RENEWED,
-    "longitudinal.friction.car": ArrayRole.FIXED,
-    "longitudinal.friction.variances": ArrayRole.FIXED,
-}
-"""Of `Tracking`; all else is kept."""
-STARTS = (ArrayStart("controller.mpc.informed.learned", "controller.mpc.informed.fresh"),)
-RESETS = {"controller.mpc.memory": {"speed": math.nan}}
-"""The model, and all that follows from it, is formed anew."""
-OUTSIDE = ("tracker.path", "tracker.plan", "longitudinal.path")
+ROLES = ArrayRoles(
+    fixed=(
+        "tracker.settings", "tracker.check.settings", "controller.first_tuning", "controller.law.parameters",
+        "controller.mpc.informed.fresh", "controller.mpc.informed.learner", "controller.mpc.states",
+        "controller.schedule.integers", "controller.schedule.numbers", "controller.schedule.settings",
+        "longitudinal.friction.car", "longitudinal.friction.variances",
+    ),
+    renewed={
+        "controller.tuning": "controller.first_tuning",
+        **{name: name for name in (
+            "controller.mpc.feed.turning", "controller.mpc.informed.estimator", "controller.mpc.parameters",
+        )},
+    },
+    outside=("tracker.path", "tracker.plan", "longitudinal.path"),
+    unknown=("controller.schedule.numbers",),
+)  # fmt: skip
+"""Of `Tracking`. What an MPC and a tracker write before the first step is no constant: the C program lets them."""
+_LAWS = {"lqr": lqr.Parameters, "stanley": stanley.Parameters, "pure_pursuit": pure_pursuit.Parameters}
+_MODELS = {"discretise_path": path.Parameters, "discretise_single_track": SingleTrackCar}
+
+
+def _views(record: Any) -> dict[str, Sequence[Any]]:
+    """The kinds of the numbers of vectors that are constants, see `CMemory`."""
+    kernels, mpc, law = kernel_names(), record.controller.mpc, record.controller.law
+    views: dict[str, Sequence[Any]] = {"tracker.check.settings": (CheckSettings,)}
+    if law.parameters.size:
+        views["controller.law.parameters"] = (_LAWS[kernels[law.function]],)
+    if mpc.parameters.size:
+        views["controller.mpc.parameters"] = (_MODELS[kernels[record.controller.functions.discretise]],)
+    if mpc.feed.turning.size:
+        views["controller.mpc.feed.turning"] = (path.Turning,)
+    if mpc.informed.estimator.size:
+        views["controller.mpc.informed.estimator"] = (kalman.FilterParameters,)
+    if mpc.informed.learner.size:
+        learner = learning.parameters_of(mpc.informed.learner, 0)
+        remembered = (None,) * int(learner.commands), (learning.Hypothesis,) * int(learner.hypotheses)
+        views["controller.mpc.informed.learner"] = (learning.LearnerParameters,)
+        views["controller.mpc.informed.fresh"] = (learning.Memory, *remembered[0], *remembered[1])
+    return views
 
 
 class SpeedPart(NamedTuple):
@@ -109,10 +127,10 @@ def room_of(controller: Any, room: tuple[int, int] | None = None) -> Room:
     return Room(*room, residuals=False)
 
 
-def tracking_block(
+def tracking_memory(
     controller: Any, room: tuple[int, int] | None = None, furthest: float = 10.0, speed: SpeedPart | None = None
-) -> Block:
-    """The block of a controller behind a tracker, with what it has learned so far; the controller stays as it is.
+) -> CMemory:
+    """The memory of a controller behind a tracker, with what it has learned so far; the controller stays as it is.
 
     room: of an MPC the largest Np and Nc that constants which are loaded later may have; furthest: m, from the path;
     speed: the speed control behind the tracker. It learns drive, brakes and friction from `adaptrack_init` on.
@@ -126,18 +144,14 @@ def tracking_block(
     none: Any = None  # the C program gives path and plan
     longitudinal = None
     if speed is not None:
-        path = SpeedPath(*(np.zeros(0) for _ in range(6)), 0.0, 0.0, 0)
-        longitudinal = longitudinal_of(speed.control, controller.period, speed.start, path, controller)
-        banks, friction = longitudinal.banks, longitudinal.friction
-        for rows in (banks.drive, banks.brakes, friction.bank, friction.memory):
-            rows[:] = np.zeros_like(rows)
+        no_path = SpeedPath(*(np.zeros(0) for _ in range(6)), 0.0, 0.0, 0)
+        longitudinal = longitudinal_of(speed.control, controller.period, speed.start, no_path, controller)
     record = small_record_of(controller, none, None, furthest, room, longitudinal)
-    kind = f"tracker of {record.controller.step.function.name}{'' if speed is None else ', speed control'}"
-    return pack(record, kind, ROLES, STARTS, RESETS if record.controller.plans else {}, OUTSIDE)
+    return CMemory(record, ROLES, _views(record))
 
 
 def small_record_of(
-    controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0,
+    controller: Any, road: Road, plan: SpeedPlan | None = None, furthest: float = 10.0,
     room: tuple[int, int] | None = None, longitudinal: Any = None,
 ) -> Any:  # fmt: skip
     """A tracker with a controller at its start, with what that has learned so far; see `tracking_of`.
@@ -145,7 +159,7 @@ def small_record_of(
     An MPC has memory for no longer horizons than it needs (`room_of`).
     """
     part = controller.part_with_learned(room_of(controller, room))
-    return tracking_of(controller, path, plan, furthest, part, longitudinal)
+    return tracking_of(controller, road, plan, furthest, part, longitudinal)
 
 
 class Twin:
@@ -154,7 +168,7 @@ class Twin:
     def __init__(
         self,
         controller: Controller,
-        path: Road,
+        road: Road,
         plan: Any = None,
         furthest: float = 10.0,
         speed: SpeedPart | None = None,
@@ -162,11 +176,11 @@ class Twin:
         refuse(controller)
         self._longitudinal = None
         if speed is not None:
-            way = speed_path(path, plan, speed.control.stop_at_end)
+            way = speed_path(road, plan, speed.control.stop_at_end)
             start = speed.start._replace(top_speed=float(max(plan.speed)))
             self._longitudinal = longitudinal_of(speed.control, controller.period, start, way, controller)
         part = controller.part_with_learned(Room())
-        record = tracking_of(controller, path, plan, furthest, part, self._longitudinal)
+        record = tracking_of(controller, road, plan, furthest, part, self._longitudinal)
         self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
         self._run = direct(tracker_step, record)
 

@@ -23,8 +23,7 @@ from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
-from adaptrack.export.block import ArrayRole
-from adaptrack.export.tracking import OUTSIDE, ROLES, refuse, small_record_of, speed_part
+from adaptrack.export.tracking import ROLES, refuse, small_record_of, speed_part
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -72,8 +71,8 @@ class Unit:
     record: Any
     values: tuple[UnitValue, ...]
     """beginning with the constants"""
-    roles: Mapping[str, ArrayRole]
-    """of the record's arrays, see `block.pack`"""
+    constants: tuple[str, ...]
+    """dotted names of arrays, or of records of them, that do not change"""
 
     @property
     def period(self) -> float:
@@ -151,8 +150,7 @@ def car_unit(
     values = unit_values(groups, starts)
     record = car.CarUnit(*_columns(values), run=run)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
-    roles = dict.fromkeys(("run.vehicles.parameters", "run.inputs.roads"), ArrayRole.FIXED)
-    return Unit("car", title, record, values, FIXED_ROLES | roles)
+    return Unit("car", title, record, values, (*UNIT_CONSTANTS, "run.vehicles.parameters", "run.inputs.roads"))
 
 
 @checked
@@ -200,14 +198,13 @@ def controller_unit(
         0: controller.STEERING_OUTPUTS + (() if speed is None else controller.SPEED_OUTPUTS),
     }  # fmt: skip
     values = unit_values(groups, starts)
-    roles = ROLES | dict.fromkeys(OUTSIDE, ArrayRole.FIXED)
-    roles = FIXED_ROLES | {f"tracking.{name}": role for name, role in roles.items()}
     record = controller.SteeringUnit(*_columns(values), tracking=tracking)
-    return Unit("controller", title, record, values, roles)
+    constants = (f"tracking.{name}" for name in (*ROLES.fixed, *ROLES.outside))
+    return Unit("controller", title, record, values, (*UNIT_CONSTANTS, *constants))
 
 
-FIXED_ROLES = dict.fromkeys(("kinds", "least", "most"), ArrayRole.FIXED)
-"""Of every unit."""
+UNIT_CONSTANTS = ("kinds", "least", "most")
+"""Constant arrays of every unit."""
 
 
 def _columns(values: tuple[UnitValue, ...]) -> tuple[NDArray[Any], ...]:

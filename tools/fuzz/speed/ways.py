@@ -19,7 +19,7 @@ from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.tracker.signals import STATUS
 from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
-from adaptrack.export.tracking import speed_part, tracking_block
+from adaptrack.export.tracking import speed_part, tracking_memory
 from tools.fuzz.speed.drives import TOP_SPEED, Drive, Route, Variant
 from tools.fuzz.speed.faults import Sample
 
@@ -181,7 +181,7 @@ class CWay:
         self._library, self._c = library, library.c
         controller, part_plan = drive.controller(), drive.routes[0].plan
         part = speed_part(drive.speed_control, controller, part_plan, TOP_SPEED)
-        constants = tracking_block(controller, None, 10.0, part).content
+        constants = tracking_memory(controller, None, 10.0, part).content
         size = ctypes.c_size_t(len(constants))
         count = self._c.adaptrack_size(constants, size)
         self._memory = np.zeros(count // 8 + 8, np.uint64)

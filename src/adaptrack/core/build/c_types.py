@@ -212,13 +212,22 @@ def declare_field(record: RecordOf, name: str) -> str:
     return declare_c(kind, c_identifier(name))
 
 
+def _variable_of(kind: Any) -> str:
+    """The name that a record has in its file."""
+    variables = vars(import_module(kind.__module__)).items()
+    return next((name for name, value in variables if value is kind), str(kind.__name__))
+
+
+def field_remarks(kind: Any) -> dict[str, str]:
+    """The remarks of a record's file on its fields."""
+    _, comments = remarks(kind.__module__).get(_variable_of(kind), ("", {}))
+    return comments | {name: setting.remark for name, setting in kind.field_settings.items()}
+
+
 def record_struct(record: RecordOf, declare: Callable[[RecordOf, str], str] = declare_field) -> str:
     """The struct of a record with the remarks of its file; declare: declares a field."""
-    kind = record.kind
-    module = import_module(kind.__module__)
-    variable = next((name for name, value in vars(module).items() if value is kind), kind.__name__)
-    remark, comments = remarks(kind.__module__).get(variable, ("", {}))
-    comments = comments | {name: setting.remark for name, setting in kind.field_settings.items()}
+    remark, _ = remarks(record.kind.__module__).get(_variable_of(record.kind), ("", {}))
+    comments = field_remarks(record.kind)
     lines = [f"    {declare(record, name)};{comment_after(comments.get(name, ''))}\n" for name in record.fields]
     return f"{comment(remark)}{record.c} {{\n{''.join(lines)}}};\n"
 

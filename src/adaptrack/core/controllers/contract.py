@@ -28,11 +28,12 @@ import math
 from functools import lru_cache
 from typing import Any
 
-from ..kernel import Caller, inlined, packer, record, unpacker, vector, viewer, void
+from ..kernel import Caller, Field, inlined, packer, record, unpacker, vector, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import clip, fmod, sqrt, square
 from ..maths.trigonometric import atan2, cos, sin
 from ..member import member
+from ..models.contract import CONTROL_PERIOD
 from ..roads.road import RoadAheadRecord, point_at
 
 SITUATION = (
@@ -43,13 +44,15 @@ SITUATION = (
     "speed",  # m/s, v_x
     "command",  # rad, the last command
 )
-COMMON_PARAMETERS = (
-    "period",  # s, control period
-    "move_min",  # rad per period
-    "move_max",
-    "angle_min",  # rad
-    "angle_max",
+ANGLE_LIMITS = (
+    Field("angle_min", "rad", -math.inf, "smallest command; -inf: any", "[-inf, 0]"),
+    Field("angle_max", "rad", math.inf, "largest command; inf: any", "[0, inf]"),
 )
+MOVE_LIMITS = (
+    Field("move_min", "rad per period", -math.inf, "smallest change of the command", "[-inf, 0]"),
+    Field("move_max", "rad per period", math.inf, "largest change of the command", "[0, inf]"),
+)
+COMMON_PARAMETERS = (CONTROL_PERIOD, *MOVE_LIMITS, *ANGLE_LIMITS)
 """What the parameters of every law begin with."""
 
 LAW_SIGNATURE = void(vector, vector, RoadAheadRecord, vector, vector, vector, vector)

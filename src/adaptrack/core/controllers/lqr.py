@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, record, unpacker, viewer
+from ..kernel import Field, exported, inlined, record, unpacker, viewer
 from ..maths.bits import whole
 from ..maths.exact import clip
 from ..maths.exponential import log
@@ -21,11 +21,11 @@ PARAMETERS = (
     # the grid of gains behind these: over log v, log q_e/r and log q_heading/r, the state last
     "log_speed",  # first node
     "log_speed_step",
-    "speeds",  # number of nodes
+    Field("speeds", "", 0, "number of nodes"),
     "log_e",  # of log(q_e/r), m^-2 rad^2
     "log_heading",  # of log(q_heading/r)
     "log_weight_step",  # of both
-    "weights",  # number of nodes of each
+    Field("weights", "", 0, "number of nodes of each"),
 )
 LQR_STATES = 4
 """Lateral error (m) and its rate, heading error (rad) and its rate."""

@@ -37,11 +37,12 @@ from ..kernel import (
 )
 from ..layout import allocate, sizer
 from ..maths import vectors
-from ..models.contract import MEASUREMENT
+from ..models.contract import CONTROL_PERIOD, MEASUREMENT
 from ..models.path import turning_of
 from ..qp import problem as qp
 from .condensing import Discrete, laguerre_moves
 from .constraints import OUTPUT_ROWS, SAMPLE_ROWS, limit_rows
+from .contract import ANGLE_LIMITS, MOVE_LIMITS
 from .feed_forward import FeedForward, bend_size
 
 MPC_TUNING_FIELDS = (
@@ -59,19 +60,19 @@ PAPER_TUNING = defaults(MPCTuning)
 MPCSettings = record(
     "MPCSettings",
     (
-        "period",  # s
-        "move_min", "move_max",  # rad per period, eq. (13)
-        "angle_min", "angle_max",  # rad, eq. (14)
+        CONTROL_PERIOD,
+        *MOVE_LIMITS,  # eq. (13)
+        *ANGLE_LIMITS,  # eq. (14)
         "ahead",  # rad, by which the command may be ahead of the wheels in spite of eq. (13); 0: not
         "output_min", "output_max",  # m, eq. (15), soft; -inf and inf: none
         "output_weight",  # 1/m^2, weight of the squared violation of eq. (15)
         "error_max",  # m, the most of an error that the QP corrects; inf: all of it
         "laguerre",  # 1: moves by Laguerre functions, 0: by pulses
-        "pole",  # of the Laguerre functions
+        Field("pole", "", 0.0, "pole of the Laguerre functions", "[0, 1)"),
         "terms",  # number of Laguerre functions
         "preview",  # 1: the reference ahead is known, 0: held at its present value
-        "delay",  # periods, dead time of the model: the predicted outputs are so much later
-        "speed_floor",  # m/s, the prediction model is never formed below this speed
+        Field("delay", "periods", 0.0, "dead time of the model: the predicted outputs are so much later", "[0, 1000]"),
+        Field("speed_floor", "m/s", 1.0, "the prediction model is never formed below this speed", "[0.01, 100]"),
         "informed",  # 1: an estimator gives state and disturbance, 0: increments of the measured state
         "curved",  # 1: the road ahead may bend
         "feeds_forward",  # 1: the free moves are counted from those that the road ahead asks for

@@ -37,6 +37,7 @@ from __future__ import annotations
 import math
 
 from ..kernel import (
+    Field,
     Row,
     columns,
     exported,
@@ -55,7 +56,7 @@ from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
 from ..maths.vectors import VECTOR_WIDTH, add, load, mul, splat, store, sub, total, zeros
 from ..models import path
-from ..models.contract import MEASUREMENT
+from ..models.contract import CONTROL_PERIOD, MEASUREMENT
 from . import extended_kalman
 from .extended_kalman import ESTIMATE
 
@@ -79,10 +80,11 @@ LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 FilterParameters = record(
     "FilterParameters",
     [
-        "period",  # s
-        "periods", "share",  # dead time in periods: m, and the share s of one more, 0 <= s < 1
-        "longest",  # whole periods of the longest dead time that there may be: so many commands are remembered
-        "late",  # periods that are gone through anew at every step
+        CONTROL_PERIOD,
+        Field("periods", "", 0.0, "dead time in whole periods m, and", "[0, longest]"),
+        Field("share", "", 0.0, "the share s of one more", "[0, 1)"),
+        Field("longest", "", 0, "whole periods of the longest dead time that there may be: so many commands are kept"),
+        Field("late", "", 0, "periods that are gone through anew at every step"),
         "bias",  # rad, by which the wheels turn beyond the command
         "bound",  # standard deviations up to which an innovation counts
         "patience",  # periods without a position after which there is no estimate

@@ -70,7 +70,7 @@ from ..maths.exponential import exp, log
 from ..maths.vectors import VECTOR_WIDTH
 from ..models import path
 from ..models.car import SINGLE_TRACK
-from ..models.contract import MEASUREMENT
+from ..models.contract import CONTROL_PERIOD, MEASUREMENT
 from ..physics.forces import GRAVITY
 from . import kalman
 from .extended_kalman import IMPOSSIBLE_SIGNAL, bounded, carry, correct, scatter
@@ -78,11 +78,11 @@ from .learning_method import LearningMethod
 
 LearnerParameters = record("LearnerParameters", (
     ("method", LearningMethod),  # its bias is the bound of |b|
-    "period",  # s
-    "computation",  # s, from a measurement until its command is given
-    "lag",  # s, of the steering, as given
-    "hypotheses",  # how many
-    "commands",  # commands that are remembered
+    CONTROL_PERIOD,
+    Field("computation", "s", 0.0, "from a measurement until its command is given", "[0, 10]"),
+    Field("lag", "s", 0.0, "of the steering, as given", "[0, 10]"),
+    Field("hypotheses", "", 0, "how many"),
+    Field("commands", "", 0, "commands that are remembered"),
     *SINGLE_TRACK,  # as known; stiffness of an axle
     "wind_turn",  # 1/m, yaw acceleration over lateral acceleration of side wind
     "rate",  # rad/s, of the steering; inf: no limit
@@ -91,7 +91,8 @@ LearnerParameters = record("LearnerParameters", (
     "drift_wheels",  # rad^2, variance that a period adds to the wheel angle in the controller's filter
     "wind_left", "bank_left", "friction_left",  # share of a deviation that is left after a period
     "usual_friction",  # ln mu to which friction returns
-    "least_lag", "most_lag", "least_dead_time", "most_dead_time",  # s, as given
+    *(Field(f"{end}_{name}", "s", 0.0, "as given", "[0, 10]")
+      for name in ("lag", "dead_time") for end in ("least", "most")),
     "most_stiffness", "most_balance",  # bounds of |s| and |q|
     "prior_lag", "prior_dead_time", "prior_delay", "prior_stiffness", "prior_balance", "prior_bias",  # as given
     "delay_tolerance", "stiffness_tolerance",  # s, -: standard deviations that double R
@@ -170,8 +171,7 @@ Memory = record("Memory", (
     "doubt",  # 0 to 1, of what is at a bound or contradicted: by which R is raised
     ("noise", (float64, kalman.SENSOR_COUNT)),  # variances of the sensors as learned
     ("noise_count", (float64, kalman.SENSOR_COUNT)),  # from so many samples
-    ("last", (float64, kalman.SENSOR_COUNT)), ("second_last", (float64, kalman.SENSOR_COUNT)),
-    ("third_last", (float64, kalman.SENSOR_COUNT)),  # samples
+    *(Field(name, "", (math.nan,) * kalman.SENSOR_COUNT, "samples") for name in ("last", "second_last", "third_last")),
     ("change", DelayChange),  # over the last seconds of excited driving
     "excited",  # s, of excited driving so far
     "holds_tyres",  # 1 while the states of the tyres are not learned
@@ -187,7 +187,8 @@ Hypothesis = record("Hypothesis", (
     "swept", "swept_by_lag",  # both integrated over the last period
     "disagreement",  # squared innovations over their variance, mean of the sensors at the last sample
     "evidence", "weight",  # logarithm of its likelihood; weight in the mixture
-    ("x", (float64, _ROW)), ("covariance", (float64, LEARNER_STATES, _ROW)),
+    Field("x", "", (0.0,) * _ROW, "the states, in SI units or as logarithms", "[-1000, 1000]"),
+    ("covariance", (float64, LEARNER_STATES, _ROW)),
     "grip_use",  # largest share of its grip that an axle uses
     ("change", DelayChange),  # by the last samples
     ("gain", (float64, LEARNER_STATES)),  # information about a state (1 over its variance) that a second has added

@@ -27,6 +27,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import power
 from ..models.car import AXLES, POWERTRAIN
+from ..models.contract import CONTROL_PERIOD
 from ..physics.forces import GRAVITY, LARGEST_BEND_SHARE, LEAST_BRAKING, STANDING_SPEED, axle_limits
 from . import faults, learning, stops
 from .place import (
@@ -41,15 +42,17 @@ from .place import (
 )
 
 SpeedSettings = record("SpeedSettings", (
-    "period",  # s
+    CONTROL_PERIOD,
     *AXLES,
     *POWERTRAIN,
     "drag", "rolling",  # kg/m, force of the air over v^2; m/s^2
-    "accelerate", "brake", "emergency", "stop_jerk",  # m/s^2, m/s^2, m/s^2, m/s^3
+    "accelerate", Field("brake", "m/s^2", 3.0, "deceleration of comfort", "(0, 50]"),  # m/s^2
+    "emergency", "stop_jerk",  # m/s^2, m/s^3
     "friction", "friction_high",  # -, assumed: the low and the high end of its interval, in a bend
     "straight_ratio",  # -, friction on a straight over that in a bend
     "governor", "guard",  # -, shares: of the friction sideways ahead; of what the axles have left now
-    "drive_lag", "drive_dead_time", "brake_lag", "brake_dead_time",  # s, NaN: learned while driving
+    *(Field(f"{part}_{name}", "s", math.nan, "unknown: learned while driving", "[0, 10]")
+      for part in ("drive", "brake") for name in ("lag", "dead_time")),
     "gain",  # 1/s
     "patience",  # s without a position, after which the steering has no estimate; 0: unlimited
 ))  # fmt: skip

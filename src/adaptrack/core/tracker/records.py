@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from ..controllers.contract import ANGLE_LIMITS
 from ..controllers.contract import STANDSTILL_SPEED as STANDSTILL_SPEED
 from ..controllers.part import REQUEST as REQUEST
 from ..input_check.record import Check
 from ..kernel import fields_of, record, rows, vector
-from ..models.contract import MEASUREMENT
+from ..models.contract import CONTROL_PERIOD, MEASUREMENT
 from ..roads.road import Roads
 from ..scheduling.functions import VARIABLE_COLUMNS
 from .signals import TRACKED, TRACKER_SAMPLE, TrackerSample
@@ -34,8 +35,8 @@ EXPECTED_SPEEDS = 80
 TRACKER_SETTINGS = record(
     "Settings",
     (
-        "period",  # s, control period
-        "angle_min", "angle_max",  # rad, rad: limits of the controller's command; infinite: none
+        CONTROL_PERIOD,
+        *ANGLE_LIMITS,  # of the controller's command
         "move",  # rad, by which a command goes back at a call while the car turns against its steering
         "furthest",  # m, from the path, beyond which the car is off it
         "late",  # periods that the controller's filter goes through anew; 0: it takes nothing late

@@ -1,12 +1,11 @@
 /* adaptrack: calls around the compiled kernels. C99, no library, nothing static that is written, no allocation. */
 #include "adaptrack.h"
 
-#include "adaptrack_block.h"
-#include "adaptrack_parts.h"
-#include "records.h"
+#include "adaptrack_layout.h"
 
 /* -- kernels ------------------------------------------------------------------------------------------------------ */
 typedef struct tracker_step_Tracking tracking;
+typedef struct adaptrack_memory memory_of_tracker;
 extern void adaptrack_tracker_step(tracking *);
 extern int64_t adaptrack_tracker_engage(double wheel_angle, double near, struct tracker_records_TrackerRecord *);
 extern void adaptrack_tracker_follow(double near, struct tracker_records_TrackerRecord *);
@@ -25,7 +24,11 @@ extern void adaptrack_write_speed_path(struct speed_path_PlanArrays *, double *m
 extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
 #endif
 
-static tracking *record_of(void *tracker) { return (tracking *)adaptrack_block_record(tracker); }
+#if ADAPTRACK_PLANS
+extern void adaptrack_mpc_prepare(struct controllers_mpc_Mpc *);
+#endif
+
+static tracking *record_of(void *tracker) { return &((memory_of_tracker *)tracker)->record; }
 
 /* Numbers of the caller, which the kernels only read. */
 static struct vector vector_at(const double *numbers, int64_t count) {
@@ -275,8 +278,62 @@ static uint32_t path_id(const path_head *head, const speed_table *plan) {
     return adaptrack_crc32(parts, sizeof parts) | 1u;
 }
 
+/* -- constants ---------------------------------------------------------------------------------------------------- */
+enum {
+    CONSTANTS_WORDS = sizeof(struct adaptrack_constants) / 8,
+    STATE_BEGIN = offsetof(memory_of_tracker, state) / 8,
+    STATE_WORDS = sizeof(struct adaptrack_state) / 8
+};
+
+static double number_of(uint64_t bits) {
+    adaptrack_word word;
+    word.whole = (int64_t)bits;
+    return word.number;
+}
+
+/* Constants of this layout whose numbers are within their bounds. So no kernel leaves its arrays. */
+static adaptrack_error check_constants(adaptrack_file *file, const void *constants, size_t size) {
+    const uint64_t *exported = (const uint64_t *)adaptrack_constants;
+    const adaptrack_bounds *bounds = adaptrack_words;
+    adaptrack_error error = adaptrack_read_constants(file, constants, size, ADAPTRACK_KERNELS);
+    if (error != ADAPTRACK_OK) return error;
+    if (file->id != ADAPTRACK_LAYOUT || size != sizeof(struct adaptrack_constants)) return ADAPTRACK_OTHER_SIZES;
+    for (size_t i = ADAPTRACK_FILE_HEAD; i < CONSTANTS_WORDS; i++) {
+        const uint64_t word = adaptrack_file_word(file, i);
+        const double number = number_of(word);
+        int is_right = 1;
+        if (i == bounds->first + bounds->count) bounds++;
+        if (bounds->rule == EXACT) is_right = word == exported[i];
+        if (bounds->rule == NUMBER) is_right = number == number;
+        if (bounds->rule == BETWEEN) is_right = number >= bounds->least && number <= bounds->most;
+        if (bounds->rule == SAME) is_right = word == adaptrack_file_word(file, bounds->same);
+        if (!is_right) return ADAPTRACK_DAMAGED;
+    }
+    return ADAPTRACK_OK;
+}
+
+static void copy_constants(memory_of_tracker *memory, const adaptrack_file *file) {
+    uint64_t *words = (uint64_t *)(void *)&memory->constants;
+    for (size_t i = 0; i < CONSTANTS_WORDS; i++) words[i] = adaptrack_file_word(file, i);
+    adaptrack_renew(memory);
+}
+
+#if ADAPTRACK_LEARNS
+/* Whether learning begins with other numbers than it did. */
+static int learns_anew(const memory_of_tracker *memory, const adaptrack_file *file) {
+    const size_t first = offsetof(struct adaptrack_constants, controller_mpc_informed_fresh) / 8;
+    const uint64_t *fresh = (const uint64_t *)(const void *)memory->constants.controller_mpc_informed_fresh;
+    for (size_t i = 0; i < sizeof memory->constants.controller_mpc_informed_fresh / 8; i++)
+        if (adaptrack_file_word(file, first + i) != fresh[i]) return 1;
+    return 0;
+}
+#endif
+
 /* -- the tracker -------------------------------------------------------------------------------------------------- */
-size_t adaptrack_size(const void *constants, size_t size) { return adaptrack_block_memory(constants, size); }
+size_t adaptrack_size(const void *constants, size_t size) {
+    adaptrack_file file;
+    return adaptrack_read_constants(&file, constants, size, ADAPTRACK_KERNELS) == ADAPTRACK_OK ? ADAPTRACK_SIZE : 0;
+}
 
 const char *adaptrack_version(void) { return ADAPTRACK_VERSION; }
 
@@ -304,44 +361,81 @@ const char *adaptrack_error_name(adaptrack_error error) {
 }
 
 adaptrack_error adaptrack_init(void *tracker, size_t tracker_size, const void *constants, size_t size) {
-    adaptrack_error error = adaptrack_block_lay(&adaptrack_parts, tracker, tracker_size, constants, size);
-#if ADAPTRACK_SPEED_CONTROL
-    if (error == ADAPTRACK_OK) adaptrack_longitudinal_begin(&record_of(tracker)->longitudinal);
+    memory_of_tracker *memory = (memory_of_tracker *)tracker;
+    uint64_t *words = (uint64_t *)tracker;
+    adaptrack_file file;
+    adaptrack_error error;
+    if (!tracker || (uintptr_t)tracker % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
+    error = check_constants(&file, constants, size);
+    if (error != ADAPTRACK_OK) return error;
+    if (tracker_size < sizeof *memory) return ADAPTRACK_TOO_SMALL;
+    error = adaptrack_arithmetic();
+    if (error == ADAPTRACK_OK) error = adaptrack_compiled_exactly();
+    if (error != ADAPTRACK_OK) return error;
+    for (size_t i = 0; i < sizeof *memory / 8u; i++) words[i] = 0;
+    adaptrack_connect(memory);
+    copy_constants(memory, &file);
+#if ADAPTRACK_PLANS
+    adaptrack_mpc_prepare(&memory->record.controller.mpc);
 #endif
-    return error;
+    adaptrack_tracker_engage(0.0, NAN, &memory->record.tracker);
+#if ADAPTRACK_SPEED_CONTROL
+    adaptrack_longitudinal_begin(&memory->record.longitudinal);
+#endif
+    adaptrack_begin(&memory->head, &file, ADAPTRACK_KERNELS, STATE_BEGIN, STATE_WORDS);
+    return ADAPTRACK_OK;
+}
+
+/* Replace the constants of a tracker; what it has learned stays unless learning begins with other numbers. */
+static adaptrack_error load(memory_of_tracker *memory, const void *constants, size_t size) {
+    adaptrack_file file;
+    adaptrack_error error = check_constants(&file, constants, size);
+    if (error == ADAPTRACK_OK) error = adaptrack_arithmetic();
+    if (error != ADAPTRACK_OK) return error;
+    {
+#if ADAPTRACK_LEARNS
+        const int is_new_car = learns_anew(memory, &file);
+#endif
+#if ADAPTRACK_PLANS
+        struct controllers_mpc_Mpc mpc;
+#endif
+        copy_constants(memory, &file);
+        memory->head.constants = file.checksum;
+#if ADAPTRACK_LEARNS
+        for (size_t i = 0; is_new_car && i < sizeof memory->state.controller_mpc_informed_learned / 8; i++)
+            memory->state.controller_mpc_informed_learned[i] = memory->constants.controller_mpc_informed_fresh[i];
+#endif
+#if ADAPTRACK_PLANS
+        mpc = memory->record.controller.mpc;
+        mpc.memory.size[0] = 0; /* what the MPC remembers stays */
+        adaptrack_mpc_prepare(&mpc);
+        memory->state.controller_mpc_memory[0].speed = NAN; /* the model is formed anew */
+#endif
+    }
+    return ADAPTRACK_OK;
 }
 
 adaptrack_error adaptrack_load(void *tracker, const void *constants, size_t size) {
-    tracking *record;
-    struct roads_road_Roads path; /* that of the caller stays, and so does its plan */
-    struct tracker_records_PlanRecord plan;
-    struct speed_speed_control_SpeedPath speed_path;
-    int64_t cells;
-    adaptrack_error error = adaptrack_block_take(tracker);
+    adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    record = record_of(tracker);
-    path = record->tracker.path, plan = record->tracker.plan;
-    speed_path = record->longitudinal.path, cells = record->longitudinal.ahead.size[0];
-    error = adaptrack_block_renew(&adaptrack_parts, tracker, constants, size);
-    record->tracker.path = path, record->tracker.plan = plan;
-    record->longitudinal.path = speed_path, record->longitudinal.ahead.size[0] = cells;
-    adaptrack_block_give(tracker);
+    error = load((memory_of_tracker *)tracker, constants, size);
+    adaptrack_give(tracker);
     return error;
 }
 
 adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near) {
-    adaptrack_error error = adaptrack_block_take(tracker);
+    adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
     else if (adaptrack_tracker_engage(wheel_angle, near, &record_of(tracker)->tracker) == 0) error = ADAPTRACK_BAD_ARGUMENT;
-    adaptrack_block_give(tracker);
+    adaptrack_give(tracker);
     return error;
 }
 
 /* Go over to a path and its plan; `memory`: of the plan, null in an export without speed control. */
 static adaptrack_error follow(void *tracker, const path_head *head, double near, const speed_table *plan,
                               const void *memory) {
-    adaptrack_error error = adaptrack_block_take(tracker);
+    adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
     else error = put_plan(record_of(tracker), memory);
@@ -351,7 +445,7 @@ static adaptrack_error follow(void *tracker, const path_head *head, double near,
         ((adaptrack_head *)tracker)->path = path_id(head, plan) ^ plan_id(memory);
         ((adaptrack_head *)tracker)->points = head->id;
     }
-    adaptrack_block_give(tracker);
+    adaptrack_give(tracker);
     return error;
 }
 
@@ -368,10 +462,10 @@ adaptrack_error adaptrack_follow_plan(void *tracker, const void *path, double ne
 }
 
 static adaptrack_error tell_speed_control(void *tracker, void (*kernel)(longitudinal *)) {
-    adaptrack_error error = adaptrack_block_take(tracker);
+    adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
     kernel(&record_of(tracker)->longitudinal);
-    adaptrack_block_give(tracker);
+    adaptrack_give(tracker);
     return ADAPTRACK_OK;
 }
 
@@ -422,7 +516,7 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
     adaptrack_error error;
     double *row;
     if (!sample || !answer) return ADAPTRACK_BAD_ARGUMENT;
-    error = adaptrack_block_take(tracker);
+    error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
     error = adaptrack_arithmetic();
     if (error == ADAPTRACK_OK) error = check_path(tracker);
@@ -435,25 +529,25 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
         read_requests(record_of(tracker), answer);
 #endif
     }
-    adaptrack_block_give(tracker);
+    adaptrack_give(tracker);
     return error;
 }
 
 /* -- the state ---------------------------------------------------------------------------------------------------- */
-size_t adaptrack_state_size(const void *tracker) { return adaptrack_block_state_size(tracker); }
+size_t adaptrack_state_size(const void *tracker) { return adaptrack_saved_size(tracker); }
 
 adaptrack_error adaptrack_save(void *tracker, void *state, size_t size) {
-    adaptrack_error error = adaptrack_block_take(tracker);
+    adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    error = adaptrack_block_save(&adaptrack_parts, tracker, state, size);
-    adaptrack_block_give(tracker);
+    error = adaptrack_save_state(tracker, state, size);
+    adaptrack_give(tracker);
     return error;
 }
 
 adaptrack_error adaptrack_restore(void *tracker, const void *state, size_t size) {
-    adaptrack_error error = adaptrack_block_take(tracker);
+    adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    error = adaptrack_block_restore(&adaptrack_parts, tracker, state, size);
-    adaptrack_block_give(tracker);
+    error = adaptrack_restore_state(tracker, state, size);
+    adaptrack_give(tracker);
     return error;
 }

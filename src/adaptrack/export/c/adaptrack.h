@@ -30,17 +30,17 @@ extern "C" {
 #endif
 typedef ADAPTRACK_ALIGNED struct {
     uint64_t memory[ADAPTRACK_SIZE / 8];
-} adaptrack_tracker; /* for the constants that were exported; others may ask for another size, see adaptrack_size */
+} adaptrack_tracker;
 
-/* Bytes of memory that constants ask for; 0 for what is no block of constants. */
+/* Bytes of memory of a tracker; 0 for damaged constants, and for those of another version. */
 size_t adaptrack_size(const void *constants, size_t size);
-/* Make a tracker of constants: before its first call, without a path. Nothing is written unless they are proved whole
-   and of this version. The constants may be thrown away afterwards. */
+/* Make a tracker of constants: before its first call, without a path. Nothing is written unless they are whole, of this
+   version and layout, and within their bounds. The constants may be thrown away afterwards. */
 adaptrack_error adaptrack_init(void *tracker, size_t tracker_size, const void *constants, size_t size);
 /* Other constants, such as another tuning or learned car, from the next control instant on, without a bump: position,
    estimate and command go on. What was learned stays, unless the constants begin with another learned car.
-   ADAPTRACK_OTHER_SIZES where their horizons or parts are others: adaptrack_init takes those. Nothing changes unless
-   they are proved. */
+   ADAPTRACK_OTHER_SIZES where their horizons or parts are others: they need their own export. Nothing changes unless
+   the constants are verified as by adaptrack_init. */
 adaptrack_error adaptrack_load(void *tracker, const void *constants, size_t size);
 /* Begin anew from the angle that the wheels have (rad): the first command is near it. `near` (m, along the path): the
    car is looked for within 400 m of it; NaN: on the whole path, which takes longer. What was learned stays, as it does

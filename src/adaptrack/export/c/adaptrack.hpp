@@ -66,7 +66,7 @@ class Plan {
 };
 #endif
 
-// A controller that follows a path; `Size` (bytes) for constants that ask for more than the exported ones.
+// A controller that follows a path, in so many bytes.
 template <std::size_t Size = ADAPTRACK_SIZE>
 class BasicTracker {
   public:

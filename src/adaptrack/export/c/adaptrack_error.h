@@ -15,11 +15,11 @@ typedef enum {
     ADAPTRACK_TOO_SMALL = 2,       /* the memory */
     ADAPTRACK_NOT_READY = 3,       /* the memory has not been initialised, or was overwritten */
     ADAPTRACK_BUSY = 4,            /* another thread, or an interrupted call, is in a step of this memory */
-    ADAPTRACK_DAMAGED = 5,         /* the block or the saved state is cut short, a byte of it is another, or a size,
-                                      count or number of the block is out of bounds */
+    ADAPTRACK_DAMAGED = 5,         /* constants or the saved state are cut short, a byte of them is another, or a
+                                      number of the constants is out of bounds */
     ADAPTRACK_OTHER_VERSION = 6,   /* the format, or the kernels, are of another version of adaptrack */
-    ADAPTRACK_OTHER_KIND = 7,      /* constants of another kind of controller, or of functions not linked in */
-    ADAPTRACK_OTHER_SIZES = 8,     /* constants of other horizons or parts: adaptrack_init takes them */
+    ADAPTRACK_OTHER_KIND = 7,      /* of FMUs: constants of another unit */
+    ADAPTRACK_OTHER_SIZES = 8,     /* constants of another controller: of other horizons, parts or whole numbers */
     ADAPTRACK_OTHER_CONSTANTS = 9, /* the state was saved under other constants */
     ADAPTRACK_OTHER_PATH = 10,     /* the state was saved on another path */
     ADAPTRACK_ARITHMETIC = 11,     /* rounding is not to nearest, subnormal numbers count as zero, or the compiler has

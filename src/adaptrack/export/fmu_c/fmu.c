@@ -36,7 +36,7 @@ fmu_status fmu_refuse(const fmu *f, const char *format, ...) {
 /* Time of the present instant, s. */
 static double now(const fmu *f) { return f->start + f->values[TIME]; }
 
-static fmu_status refuse_block(const fmu *f, adaptrack_error status) {
+static fmu_status refuse_status(const fmu *f, adaptrack_error status) {
     return status == ADAPTRACK_OK ? FMU_OK
                                   : fmu_refuse(f, "%s", status < sizeof SAYS / sizeof *SAYS ? SAYS[status] : "refused");
 }
@@ -105,21 +105,53 @@ static int is_of(const char *token, const void *constants, size_t size) {
 }
 
 /* -- an instance -------------------------------------------------------------------------------------------------- */
+/* The words of the constants (adaptrack.export.image): those of the memory, where its state begins, places and links,
+   then which word holds which address, and the memory. */
+enum { WORDS = ADAPTRACK_FILE_HEAD, STATE, PLACES, LINKS, FIXES, HEAD_WORDS = sizeof(adaptrack_head) / 8 };
+
+static uint64_t *words_of(const fmu *f) { return (uint64_t *)f->memory + HEAD_WORDS; }
+
+/* Read the constants; ADAPTRACK_OTHER_KIND where they are of no unit at hand. */
+static adaptrack_error read_constants(fmu *f, adaptrack_file *file) {
+    adaptrack_error status = adaptrack_read_constants(file, f->constants, f->size, FMU_KERNELS);
+    f->unit = NULL;
+    for (size_t i = 0; i < FMU_COUNT; i++)
+        if (status == ADAPTRACK_OK && FMU_UNITS[i].number == file->id) f->unit = FMU_UNITS + i;
+    return status == ADAPTRACK_OK && !f->unit ? ADAPTRACK_OTHER_KIND : status;
+}
+
+static size_t memory_size(const adaptrack_file *file) {
+    return sizeof(adaptrack_head) + 8u * (size_t)adaptrack_file_word(file, WORDS);
+}
+
 static fmu_status lay(fmu *f) {
-    uint64_t *record = adaptrack_block_record(f->memory);
-    size_t size = adaptrack_block_memory(f->constants, f->size);
-    adaptrack_error status = adaptrack_block_lay(&f->unit->reader, f->memory, size, f->constants, f->size);
-    if (status != ADAPTRACK_OK) return refuse_block(f, status);
-    f->values = (double *)(uintptr_t)record[0], f->count = (size_t)record[1];
-    f->kinds = (const int64_t *)(uintptr_t)record[2];
-    f->least = (const double *)(uintptr_t)record[4], f->most = (const double *)(uintptr_t)record[6];
+    adaptrack_file file;
+    adaptrack_error status = read_constants(f, &file);
+    uint64_t *words = words_of(f);
+    size_t count, state, places, fixes;
+    if (status != ADAPTRACK_OK) return refuse_status(f, status);
+    count = (size_t)adaptrack_file_word(&file, WORDS), state = (size_t)adaptrack_file_word(&file, STATE);
+    places = (size_t)adaptrack_file_word(&file, PLACES), fixes = places + (size_t)adaptrack_file_word(&file, LINKS);
+    for (size_t i = 0; i < count; i++) words[i] = adaptrack_file_word(&file, FIXES + fixes + i);
+    for (size_t i = 0; i < fixes; i++) {
+        const uint64_t fix = adaptrack_file_word(&file, FIXES + i);
+        const size_t number = (size_t)(fix >> 32);
+        words[fix & 0xffffffffu] = i < places ? (uint64_t)(uintptr_t)(words + number)
+                                              : (uint64_t)(uintptr_t)FMU_MEMBERS[number % FMU_MEMBER_COUNT];
+    }
+    adaptrack_begin((adaptrack_head *)f->memory, &file, FMU_KERNELS, HEAD_WORDS + state, count - state);
+    status = adaptrack_arithmetic();
+    if (status == ADAPTRACK_OK) status = adaptrack_compiled_exactly();
+    if (status != ADAPTRACK_OK) return refuse_status(f, status);
+    f->values = (double *)(uintptr_t)words[0], f->count = (size_t)words[1];
+    f->kinds = (const int64_t *)(uintptr_t)words[2];
+    f->least = (const double *)(uintptr_t)words[4], f->most = (const double *)(uintptr_t)words[6];
     f->mode = FMU_MADE, f->stale = 1, f->start = f->end = 0.0;
-    return record[3] == record[1] && f->count > PERIOD && f->values[PERIOD] > 0.0 ? FMU_OK : refuse_block(f, 5);
+    return words[3] == words[1] && f->count > PERIOD && f->values[PERIOD] > 0.0 ? FMU_OK : refuse_status(f, 5);
 }
 
 fmu *fmu_open(const fmu *given, const char *name, const char *token, const char *resources) {
     fmu *f = calloc(1, sizeof *f);
-    adaptrack_error status = ADAPTRACK_BAD_ARGUMENT;
     if (!f) return NULL;
     *f = *given;
     snprintf(f->name, sizeof f->name, "%s", name ? name : "");
@@ -131,18 +163,14 @@ fmu *fmu_open(const fmu *given, const char *name, const char *token, const char 
     } else if (!is_of(token, f->constants, f->size)) {
         fmu_refuse(f, "the token in modelDescription.xml is not that of resources/constants.bin");
     } else {
-        for (size_t i = 0; i < FMU_COUNT && status != ADAPTRACK_OK; i++) {
-            f->unit = FMU_UNITS + i;
-            status = adaptrack_block_check(&f->unit->reader, f->constants, f->size);
-            if (status != ADAPTRACK_OK && status != ADAPTRACK_OTHER_KIND) break;
-        }
-        if (refuse_block(f, status) == FMU_OK) {
-            f->room = malloc(adaptrack_block_memory(f->constants, f->size) + LINE);
+        adaptrack_file file;
+        if (refuse_status(f, read_constants(f, &file)) == FMU_OK) {
+            f->room = malloc(memory_size(&file) + LINE);
             if (f->room) {
                 f->memory = (char *)f->room + (LINE - (uintptr_t)f->room % LINE) % LINE;
                 if (lay(f) == FMU_OK) return f;
             } else {
-                refuse_block(f, ADAPTRACK_TOO_SMALL);
+                refuse_status(f, ADAPTRACK_TOO_SMALL);
             }
         }
     }
@@ -172,11 +200,11 @@ static fmu_status judged(fmu *f, int64_t status) {
 
 /* Call one of the unit's kernels. */
 static fmu_status run(fmu *f, int64_t (*kernel)(void *)) {
-    adaptrack_error status = adaptrack_block_take(f->memory);
+    adaptrack_error status = adaptrack_take(f->memory);
     int64_t answer;
-    if (status != ADAPTRACK_OK) return refuse_block(f, status);
-    answer = kernel(adaptrack_block_record(f->memory));
-    adaptrack_block_give(f->memory);
+    if (status != ADAPTRACK_OK) return refuse_status(f, status);
+    answer = kernel(words_of(f));
+    adaptrack_give(f->memory);
     return judged(f, answer);
 }
 
@@ -260,7 +288,7 @@ fmu_status fmu_get(fmu *f, uint32_t reference, int type, double *value) {
     return FMU_OK;
 }
 
-/* -- its state: size, mode, stale, start, end, CRC-32 of these, then the block's ------------------------------------- */
+/* -- its state: size, mode, stale, start, end, CRC-32 of these, then the memory's ------------------------------------- */
 typedef struct {
     uint64_t size;
     int64_t mode, stale;
@@ -268,27 +296,27 @@ typedef struct {
     uint64_t sum;
 } saved;
 
-size_t fmu_state_size(const fmu *f) { return sizeof(saved) + adaptrack_block_state_size(f->memory); }
+size_t fmu_state_size(const fmu *f) { return sizeof(saved) + adaptrack_saved_size(f->memory); }
 
 fmu_status fmu_save(fmu *f, void *state, size_t size) {
     saved head = {fmu_state_size(f), (int64_t)f->mode, f->stale, f->start, f->end, 0};
     char *rest = (char *)state + sizeof head;
-    if (!state || size < head.size) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
+    if (!state || size < head.size) return refuse_status(f, ADAPTRACK_BAD_ARGUMENT);
     head.sum = adaptrack_crc32(&head, offsetof(saved, sum));
     memcpy(state, &head, sizeof head);
-    return refuse_block(f, adaptrack_block_save(&f->unit->reader, f->memory, rest, size - sizeof head));
+    return refuse_status(f, adaptrack_save_state(f->memory, rest, size - sizeof head));
 }
 
 fmu_status fmu_restore(fmu *f, const void *state) {
     saved head;
     fmu_status status;
-    if (!state) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
+    if (!state) return refuse_status(f, ADAPTRACK_BAD_ARGUMENT);
     memcpy(&head.size, state, sizeof head.size);
     if (head.size != fmu_state_size(f)) return fmu_refuse(f, "the state is of another FMU");
     memcpy(&head, state, sizeof head);
     if (head.sum != adaptrack_crc32(&head, offsetof(saved, sum))) return fmu_refuse(f, "the state is damaged");
-    status = refuse_block(f, adaptrack_block_restore(&f->unit->reader, f->memory, (const char *)state + sizeof head,
-                                                     (size_t)head.size - sizeof head));
+    status = refuse_status(f, adaptrack_restore_state(f->memory, (const char *)state + sizeof head,
+                                                       (size_t)head.size - sizeof head));
     if (status != FMU_OK) return status;
     f->mode = (fmu_mode)head.mode, f->stale = (int)head.stale, f->start = head.start, f->end = head.end;
     return FMU_OK;

@@ -2,7 +2,7 @@
    values and two kernels; a value reference is a place in that vector. Instances share nothing. */
 #ifndef ADAPTRACK_FMU_H
 #define ADAPTRACK_FMU_H
-#include "adaptrack_block.h"
+#include "adaptrack_memory.h"
 
 #ifdef _WIN32
 #define FMU_PUBLIC __declspec(dllexport)
@@ -17,19 +17,23 @@ typedef enum { FMU_MADE, FMU_SETTING, FMU_STEPPING, FMU_OVER, FMU_FAILED } fmu_m
 enum { FMU_REAL = 0, FMU_WHOLE = 1, FMU_TRUTH = 2, FMU_TYPE = 3, FMU_PARAMETER = 4, FMU_INPUT = 8 };
 
 typedef struct {
-    adaptrack_reader reader;
+    uint64_t number;
     int64_t (*begin)(void *record);
     int64_t (*step)(void *record);
 } fmu_unit;
+typedef void (*fmu_member)(void);
 
-/* units.h, which the build writes: the kernels at hand */
+/* fmu_units.c, which the export writes: the kernels at hand */
+extern const uint64_t FMU_KERNELS;
+extern const fmu_member FMU_MEMBERS[];
+extern const size_t FMU_MEMBER_COUNT;
 extern const fmu_unit FMU_UNITS[];
 extern const size_t FMU_COUNT;
 
 typedef struct fmu fmu;
 struct fmu {
     const fmu_unit *unit;
-    void *constants, *room, *memory; /* the block; what malloc gave; the memory in it, from a cache line on */
+    void *constants, *room, *memory; /* the file; what malloc gave; the memory in it, from a cache line on */
     size_t size;
     double *values;
     const int64_t *kinds;
