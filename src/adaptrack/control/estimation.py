@@ -165,33 +165,7 @@ _registry: Registry[Estimator] = Registry(
 )  # fmt: skip
 
 
-@checked
-def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> None:
-    """Make ``get_estimator(name, **options)`` call ``factory(**options)``.
-
-    Raises
-    ------
-    InvalidInput
-        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
-    """
-    _registry.add(name, factory)
-
-
-@checked
-def get_estimator(name: str, **options: Any) -> Estimator:
-    """A registered estimator.
-
-    Raises
-    ------
-    UnknownName
-        When none has this name.
-    """
-    return _registry.make(name, **options)
-
-
-def list_estimators() -> list[str]:
-    """The known names, sorted."""
-    return _registry.names()
+register_estimator, get_estimator, list_estimators = _registry.add, _registry.make, _registry.names
 
 
 @checked

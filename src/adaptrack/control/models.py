@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, final
 
@@ -301,16 +301,7 @@ _registry: Registry[PredictionModel] = Registry(
 )  # fmt: skip
 
 
-@checked
-def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> None:
-    """Make ``get_model(name, vehicle, period)`` call ``factory(vehicle, period)``.
-
-    Raises
-    ------
-    InvalidInput
-        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
-    """
-    _registry.add(name, factory)
+register_model, list_models = _registry.add, _registry.names
 
 
 @checked
@@ -323,11 +314,6 @@ def get_model(name: str, vehicle: Vehicle, period: float = 0.1) -> PredictionMod
         When no model has this name.
     """
     return _registry.make(name, vehicle, period)
-
-
-def list_models() -> list[str]:
-    """The known names, sorted."""
-    return _registry.names()
 
 
 @checked

@@ -497,8 +497,9 @@ def input_check_of(controller: Any) -> InputCheck:
 
     It tests the delay of the steering that is specified and not learned.
     """
-    is_specified = controller.belief is not None and controller.learner is None
-    delay = controller.model.lag + controller.model.dead_time if is_specified else math.inf
+    model, belief, delay = controller.model, controller.belief, math.inf
+    if belief is not None and controller.learner is None:
+        delay = belief.lag.value + belief.delay if model is None else model.lag + model.dead_time
     return InputCheck(controller.vehicle, float(controller.period), delay, controller.position_noise)
 
 
