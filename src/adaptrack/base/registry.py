@@ -167,6 +167,20 @@ class PluginCall(NamedTuple):
         return ContractError(f"{self.function_name} returned {format_value(answer)}: it must return {self.answer}.")
 
 
+def compile_function(where: str, compiler: Callable[[Any], Any], function: Any, form: str) -> Any:
+    """Return the function of a part, such as a plant, as the kernels call it; `form`: its arguments, for the message.
+
+    Raises
+    ------
+    ContractError
+        When `compiler`, of `adaptrack.core`, refuses it; the message states file, line and remedy.
+    """
+    try:
+        return compiler(function)
+    except Exception as error:
+        raise ContractError(f"{where}: cannot compile its {form}: {error}") from error
+
+
 class Contract(NamedTuple):
     """Contract of a member, whose clauses a checker tests one by one."""
 

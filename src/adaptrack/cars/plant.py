@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
-from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_STEPS, check_limit
-from adaptrack.base.registry import Contract, PluginCall, Registry
+from adaptrack.base.registry import Contract, PluginCall, Registry, compile_function
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.maths import portable
 from adaptrack.core.member import MemberFunction
@@ -296,23 +296,18 @@ class UserPlant(Plant):
     """the data sheet of this car: its failure distance, and in environments the planned speed and the MPC"""
 
     def __post_init__(self) -> None:
-        values = flattened(self.parameters)
+        values, where = flattened(self.parameters), f"UserPlant {self.label!r}"
         invalid_values = [
             f"{key} = {value!r}" for key, value in values.items()
             if not (isinstance(value, numbers.Real) and math.isfinite(value))
         ]  # fmt: skip
         if invalid_values:
-            raise InvalidInput(
-                f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(invalid_values)}."
-            )
-        try:
-            nested = any(isinstance(value, Mapping) for value in self.parameters.values())
-            compiled = compile_plant(self.right_hand_side, layout_of(self.parameters) if nested else None)
-        except Exception as error:
-            raise ContractError(
-                f"UserPlant {self.label!r}: cannot compile its right-hand side as "
-                f"f(x, u, environment, p, dx) on float64 arrays: {error}"
-            ) from error
+            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(invalid_values)}.")
+        nested = any(isinstance(value, Mapping) for value in self.parameters.values())
+        compiled = compile_function(
+            where, lambda function: compile_plant(function, layout_of(self.parameters) if nested else None),
+            self.right_hand_side, "right-hand side as f(x, u, environment, p, dx) on float64 arrays",
+        )  # fmt: skip
         object.__setattr__(self, "_compiled", compiled)
         object.__setattr__(self, "_own", np.array(list(values.values()), dtype=float))
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked
-from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.registry import Contract, Registry
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import Contract, Registry, compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.kernel import size_of
@@ -283,13 +283,8 @@ class UserModel(PredictionModel):
                 f"{', '.join(MEASURED_STATES)}, with y as the last."
             )
         self.period, self.numbers = period, dict(parameters or {})
-        try:
-            self.function = compile_model(discretise)
-        except Exception as error:
-            raise ContractError(
-                f"{where}: cannot compile its function as f(speed, period, parameters, a, b, e) on float64 "
-                f"numbers and arrays: {error}"
-            ) from error
+        form = "function as f(speed, period, parameters, a, b, e) on float64 numbers and arrays"
+        self.function = compile_function(where, compile_model, discretise, form)
 
     def parameters(self) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)

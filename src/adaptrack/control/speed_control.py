@@ -38,7 +38,7 @@ from adaptrack.core.tracker import longitudinal as tracked_kernel
 from adaptrack.core.tracker.records import LONGEST_GAP
 from adaptrack.core.tracker.signals import STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
-from adaptrack.road.cornering import packed, steering_limit
+from adaptrack.road.speed import packed, steering_limit
 
 Array = NDArray[np.float64]
 ASSUMABLE_FRICTION = (0.05, 1.5)

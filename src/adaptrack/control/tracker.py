@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import BeliefState, Controller
+from adaptrack.control.controllers.base import CalledController, python_part
 from adaptrack.control.controllers.belief import SourcedValue
-from adaptrack.control.controllers.called_back import CalledController, python_part
 from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler

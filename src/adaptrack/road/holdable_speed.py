@@ -26,7 +26,7 @@ MAX_BRAKING_SLOPE = 3.0
 class HoldableSpeed(Record):
     """Up to which braking the margins of a controller hold, by speed, lateral acceleration and friction.
 
-    Lateral accelerations are shares of what the car can corner with (`road.cornering`), decelerations of mu g.
+    Lateral accelerations are shares of what the car can corner with (`road.speed`), decelerations of mu g.
     `adaptrack.analysis.holdable` makes it; `plan_speed` keeps it. Between its nodes it is linear, beyond them constant.
     """
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Hint, NotNegative, Positive, checked, real, whole_number
-from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
@@ -304,13 +305,8 @@ class UserController(CompiledController):
         self.tuning_bounds |= {
             name: TuningBounds(float(ends[0]), float(ends[1])) for name, ends in (bounds or {}).items()
         }
-        try:
-            self.function = compile_law(law)
-        except Exception as error:
-            raise ContractError(
-                f"{where}: cannot compile its law as "
-                f"f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays: {error}"
-            ) from error
+        form = "law as f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays"
+        self.function = compile_function(where, compile_law, law, form)
         super().__init__(tuning or {}, period=period, limits=limits, preview=preview)
 
     def own_parameters(self) -> Sequence[float]:
