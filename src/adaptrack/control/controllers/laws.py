@@ -52,6 +52,7 @@ class PurePursuit(CompiledController):
     name, law_name, is_exportable = "pure pursuit", "pure-pursuit", True
     function = staticmethod(pure_pursuit.pure_pursuit)
     memory_size, diagnostic_names = pure_pursuit.MEMORY, pure_pursuit.PURSUIT_DIAGNOSTICS
+    positive: ClassVar[tuple[str, ...]] = ("lookahead_min",)
     tuning_bounds: Mapping[str, TuningBounds] = {
         "lookahead_time": TuningBounds(0.1, 1.5),
         "lookahead_min": TuningBounds(1.0, 10.0),
@@ -71,12 +72,6 @@ class PurePursuit(CompiledController):
         self.vehicle = vehicle
         tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}
         super().__init__(tuning, period=period, limits=limits, preview=preview)
-
-    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
-        """See `Controller.check_tuning`; the least distance must be positive."""
-        if tuning["lookahead_min"] == 0.0:
-            raise InvalidInput("PurePursuit: lookahead_min = 0.0 m: must be positive, or a standing car has no target.")
-        return super().check_tuning(tuning)
 
     def own_parameters(self) -> Array:
         return self._made_by(laws.pure_pursuit_parameters, laws.PURSUIT)
