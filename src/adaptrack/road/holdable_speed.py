@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from adaptrack.base.files import LISTED, Record, build, read_toml
+from adaptrack.base.files import LISTED, Record
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.segments import Array
@@ -117,14 +115,4 @@ def _place(axis: tuple[float, ...], x: Array) -> tuple[np.ndarray, Array]:
     return i, np.clip((x - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)
 
 
-def load_holdable(path: str | os.PathLike[str]) -> HoldableSpeed:
-    """Read a file written by `HoldableSpeed.to_toml`.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
-    """
-    return build(HoldableSpeed, read_toml(path), Path(path))
+load_holdable = HoldableSpeed.from_toml

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from adaptrack.analysis.holdable import holdable_speed
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.files import LISTED, Record, build, read_toml
+from adaptrack.base.files import LISTED, Record
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller, about_controller, get_controller
 from adaptrack.control.controllers.base import Policy
@@ -234,14 +234,4 @@ class ConstantTuning(Record):
         return clauses
 
 
-def load_tuning(path: str | os.PathLike[str]) -> ConstantTuning:
-    """Read the file of a constant tuning.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is not TOML, or has an unknown key, a missing key or an invalid value.
-    """
-    return build(ConstantTuning, read_toml(path), Path(path))
+load_tuning = ConstantTuning.from_toml

@@ -371,7 +371,6 @@ class MPC(Controller):
         return (*product(["tuning"], self.tuning_names), *product(["diagnostics"], self.diagnostic_names))
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
-        """See `Controller.checked_tunings`."""
         rows = super().checked_tunings(tunings)
         if (rows[:, 2] < 0.0).any() or (rows[:, 3] <= 0.0).any():
             raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
@@ -657,8 +656,9 @@ class MPC(Controller):
             speed = number("speed", speed)
         if isfinite(speed):
             self._speed, self._without_speed = speed, 0
-        else:
-            speed = self._last_speed()
+        else:  # the last speed counts for some time
+            self._without_speed += 1
+            speed = self._speed if self._without_speed * self.period <= SPEED_KEPT else math.nan
         inputs[0] = speed
         if n_states != self._known:
             self._measured[n_states:] = NOTHING_MEASURED[n_states:]
@@ -667,11 +667,6 @@ class MPC(Controller):
             self._look_along(road_ahead(road), speed)
         if self.scheduler is not None:
             self._schedule(variables)
-
-    def _last_speed(self) -> float:
-        """The last speed (m/s) for some time, where the present one is missing; then NaN."""
-        self._without_speed += 1
-        return self._speed if self._without_speed * self.period <= SPEED_KEPT else math.nan
 
     def _look_along(self, road: RoadAhead | None, speed: float) -> None:
         """Take in the road ahead."""
