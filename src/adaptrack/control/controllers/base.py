@@ -213,12 +213,7 @@ class Controller(ABC):
 
     @abstractmethod
     def step(
-        self,
-        state: ArrayLike,
-        speed: float,
-        reference: ArrayLike,
-        variables: Any = None,
-        road: RoadAhead | None = None,
+        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None, road: RoadAhead | None = None
     ) -> Any:
         """One control step, see `CompiledController.step`; the steering angle (rad), or an answer that has it.
 
@@ -461,12 +456,7 @@ class CompiledController(Controller):
         self._angle = wheel_angle("applied: angle", angle)
 
     def step(
-        self,
-        state: ArrayLike,
-        speed: float,
-        reference: ArrayLike,
-        variables: Any = None,
-        road: RoadAhead | None = None,
+        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None, road: RoadAhead | None = None
     ) -> Command:
         """One control step.
 
