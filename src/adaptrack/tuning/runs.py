@@ -174,6 +174,12 @@ class RunSet:
         costs = self.drive(policy, seeds, indices)
         return np.where(np.isfinite(costs), costs, self.failed_cost).mean(axis=1)
 
+    def costs_of(self, tunings: Array, seeds: Sequence[int], controller: Controller | None = None) -> Array:
+        """Return `costs` of every run with every tuning (m^2), (tunings, runs); None: tunings of the set's MPC."""
+        indices = np.tile(np.arange(len(self)), len(tunings))
+        costs = self.costs(Policy(controller, np.repeat(tunings, len(self), axis=0)), seeds, indices)
+        return costs.reshape(len(tunings), len(self))
+
     def trajectories(self, policy: PolicyArgument, seeds: Sequence[int]) -> list[list[Trajectory]]:
         """Return the trajectories of the runs that `drive` evaluates: for each run a list with each noise seed."""
         if self._runs_compiled(policy):
