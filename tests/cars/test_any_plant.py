@@ -6,6 +6,7 @@ import inspect
 import logging
 import math
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from adaptrack.paper.data_set import load_dataset
 from adaptrack.tuning.car import TuningEffort, tune
 from adaptrack.tuning.constant import load_tuning
 from adaptrack.tuning.objective import Objective
-from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
+from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import operating_point_runs
 
 CAR = load_vehicle("paper")
@@ -123,17 +124,20 @@ def test_a_stepped_motion_that_is_not_finite_ends_the_run_as_failed():
 
 
 @pytest.mark.compiled
-def test_costs_and_swarms_run_by_run_are_those_of_the_kernel():
+def test_costs_and_swarms_run_by_run_are_those_of_the_kernel(monkeypatch):
     target = Objective(
         SingleTrack(CAR), at.MPC(CAR, profile="road"), "lane-change", "road", noise_seeds=(3, 4), duration=2.0
     )
     tunings = np.array([[30.0, 8.0, 1.0, 5.0], [25.0, 5.0, 1.0, 20.0]])
-    np.testing.assert_allclose(target._simulated_costs(POINTS[0], tunings), target.costs(POINTS[0], tunings), rtol=1e-9)
-    settings, space = SwarmSettings(particles=4, generations=3), SearchSpace.tuning()
-    compiled = target.tune(POINTS[0], settings, 5, 7, space)
-    searched = target._search_by_costs(POINTS[0], Swarm(space, settings, seed=5, stream=7))
+    simulated, _ = target._simulated_trial(POINTS[0], tunings, np.full(2, np.inf))
+    np.testing.assert_allclose(simulated, target.costs(POINTS[0], tunings), rtol=1e-9)
+    settings = SwarmSettings(particles=4, generations=3)
+    compiled = target.tune(POINTS[0], settings, 5, 7)
+    monkeypatch.setattr(Objective, "_trial", lambda self, point, *_: partial(self._simulated_trial, point))
+    searched = target.tune(POINTS[0], settings, 5, 7)
     np.testing.assert_array_equal(searched.tuning, compiled.tuning)
     assert searched.evaluations == compiled.evaluations
+    assert searched.control_steps == 40 * 2 * 12 > compiled.control_steps  # none is stopped early
 
 
 # -- the twin ---------------------------------------------------------------------------------------------------------

@@ -7,8 +7,17 @@ import pytest
 
 from adaptrack import Tuning, load_vehicle, published_mpc
 from adaptrack.base.errors import InvalidInput, UnknownName
-from adaptrack.control.qp import QP, ActiveSet, Attempt, Hildreth, QPSolver, QPStatus, get_qp_solver, kkt_residuals
-from adaptrack.control.qp.solver import newton_distance
+from adaptrack.control.qp import (
+    QP,
+    ActiveSet,
+    Attempt,
+    Hildreth,
+    QPSolver,
+    QPStatus,
+    get_qp_solver,
+    kkt_residuals,
+    newton_distance,
+)
 from references.daqp import Daqp
 from references.qp_problems import drawn_mpc_problem, drawn_problem, ill_conditioned_problem, known_problems
 

@@ -360,7 +360,7 @@ def fails(condition):
         (lambda condition: (30, 0, 1.0, 1.0), "need 1 <= Nc <= Np"),
         (lambda condition: (30, 5, -1.0, 1.0), "Q >= 0"),
         (lambda condition: (30, 5, 1.0, 0.0), "R > 0"),
-        (Moody(), "for the same"),
+        (Moody(), "the same for the same variables"),
         (fails, "no friction"),
         (lambda condition: (30, 5, 1.0, 27.5 - condition.speed), "R > 0"),  # sound in the domain, but not beyond
         (lambda condition: (30, 5, 1.0, math.sqrt(condition.friction)), "failed for"),

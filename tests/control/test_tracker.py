@@ -14,6 +14,8 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
+from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.tracker import Status, Tracker, yaw_of
 from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
@@ -100,6 +102,12 @@ def test_a_pose_that_is_late_alone_gives_the_errors_and_the_command_of_the_promp
             answers.append(tracker.step(t - age, x, y, yaw, speed, rate, now=t, motion_time=t))
         np.testing.assert_allclose(answers[1][2:5], answers[0][2:5], atol=1e-5)
         assert answers[1].command == pytest.approx(answers[0].command, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", [PurePursuit, Stanley, LQR, PreviewLQR, KinematicMPC])
+def test_every_law_follows_a_path_whether_it_assumes_a_steering_or_not(kind):
+    run = drive(Tracker(kind(CAR, period=0.05), ROAD), ROAD, 10.0, noise=EXACT)
+    assert np.abs(run.offset).max() < 1.0
 
 
 @pytest.mark.parametrize("name", ["informed", "LQR"])

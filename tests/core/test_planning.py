@@ -22,8 +22,8 @@ from adaptrack.core.speed.plan import SpeedPlanRecord
 from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
-from adaptrack.road.cornering import cornering_limit, packed
 from adaptrack.road.road import DRY_FRICTION
+from adaptrack.road.speed import cornering_limit, packed
 from adaptrack.scenario import RoadDrive
 
 pytestmark = pytest.mark.kernels

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.control.qp import QP, QPStatus, kkt_residuals
-from adaptrack.control.qp.solver import Workspace
+from adaptrack.control.qp import QP, QPStatus, Workspace, kkt_residuals
 from adaptrack.core.qp import problem as kernels
 from adaptrack.core.qp.active_set import active_set
 from adaptrack.core.qp.residual import kkt_residual

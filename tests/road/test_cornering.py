@@ -12,7 +12,7 @@ from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
-from adaptrack.road.cornering import cornering_limit, steering_limit
+from adaptrack.road.speed import cornering_limit, steering_limit
 from adaptrack.scenario import RoadDrive
 
 BENDS = np.linspace(0.0, 0.15, 20)

@@ -25,8 +25,8 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable_speed import HoldableSpeed
+from adaptrack.road.speed import cornering_limit
 from adaptrack.scenario.profile import Profile, load_profile
 
 MAX_INSTABILITY_DURATION = 10.0

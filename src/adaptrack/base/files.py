@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
-from adaptrack.base.checked import allowed
+from adaptrack.base.checked import allowed, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, format_value, nearest
 from adaptrack.base.limits import TABLE_ROWS, check_limit
 from adaptrack.base.presentation import printable as printable
@@ -173,6 +173,20 @@ class Record(BaseModel):
             When the file cannot be written; no partial file is left.
         """
         write_toml(path, self.model_dump(), meanings(self))
+
+    @classmethod
+    @checked
+    def from_toml(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file that `to_toml` wrote.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be read.
+        ConfigError
+            When it is not TOML, or has unknown, missing or invalid values; the message lists all of them.
+        """
+        return build(cls, read_toml(path), Path(path))
 
 
 class FieldRecord(Record):

@@ -41,7 +41,19 @@ class Registry(Generic[MemberType]):
         self.arguments, self.member_type = arguments, member_type
 
     def add(self, name: str, factory: Callable[..., MemberType] | str) -> None:
-        """Register a factory under a name.
+        """Register a factory under a name, for every function and command that takes such names.
+
+        Parameters
+        ----------
+        name
+            New name.
+        factory
+            Callable, or text ``"package.module:name"``, which is imported when it is first used. It returns a new
+            member. Its positional arguments depend on the kind of member:
+
+            - plant: ``(vehicle, tyre)``; the tyre is a `Tyre`, its name or file, or None for the vehicle's own;
+            - prediction model: ``(vehicle, period)``, with the control period in seconds;
+            - estimator: none, only the options that the caller passes by name.
 
         Raises
         ------
@@ -75,7 +87,9 @@ class Registry(Generic[MemberType]):
             ) from None
 
     def make(self, name: str, *arguments: Any, **options: Any) -> MemberType:
-        """Call the factory registered under a name.
+        """Return a new member from the factory that is registered under a name.
+
+        `arguments` are those of the factory, see `add`; `options` are passed on by name.
 
         Raises
         ------
@@ -153,26 +167,40 @@ class PluginCall(NamedTuple):
         return ContractError(f"{self.function_name} returned {format_value(answer)}: it must return {self.answer}.")
 
 
+def compile_function(where: str, compiler: Callable[[Any], Any], function: Any, form: str) -> Any:
+    """Return the function of a part, such as a plant, as the kernels call it; `form`: its arguments, for the message.
+
+    Raises
+    ------
+    ContractError
+        When `compiler`, of `adaptrack.core`, refuses it; the message states file, line and remedy.
+    """
+    try:
+        return compiler(function)
+    except Exception as error:
+        raise ContractError(f"{where}: cannot compile its {form}: {error}") from error
+
+
 class Contract(NamedTuple):
     """Contract of a member, whose clauses a checker tests one by one."""
 
     member: str
     """Kind and name at the beginning of messages, such as ``prediction model 'mine'``."""
 
-    def require(self, holds: Any, clause: str, evidence: str) -> None:
+    def require(self, holds: Any, clause: str, evidence: object, remedy: str = "") -> None:
         """Refuse the member unless a clause holds.
 
         Raises
         ------
         ContractError
-            With the clause and the evidence.
+            With the clause, the evidence and the remedy.
         """
         if not holds:
-            raise self.breach(clause, evidence)
+            raise self.breach(clause, evidence, remedy)
 
-    def breach(self, clause: str, evidence: object) -> ContractError:
+    def breach(self, clause: str, evidence: object, remedy: str = "") -> ContractError:
         """Return the error for a clause that is broken."""
-        return ContractError(f"{self.member}: {clause}: {evidence}.")
+        return ContractError(f"{self.member}: {clause}: {evidence}{f'; {remedy}' if remedy else ''}.")
 
 
 def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], None] | None = None) -> None:

@@ -16,15 +16,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, NoReturn, Self, final
+from typing import Annotated, Any, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
-from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_STEPS, check_limit
-from adaptrack.base.registry import PluginCall, Registry
+from adaptrack.base.registry import Contract, PluginCall, Registry, compile_function
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.maths import portable
 from adaptrack.core.member import MemberFunction
@@ -296,23 +296,18 @@ class UserPlant(Plant):
     """the data sheet of this car: its failure distance, and in environments the planned speed and the MPC"""
 
     def __post_init__(self) -> None:
-        values = flattened(self.parameters)
+        values, where = flattened(self.parameters), f"UserPlant {self.label!r}"
         invalid_values = [
             f"{key} = {value!r}" for key, value in values.items()
             if not (isinstance(value, numbers.Real) and math.isfinite(value))
         ]  # fmt: skip
         if invalid_values:
-            raise InvalidInput(
-                f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(invalid_values)}."
-            )
-        try:
-            nested = any(isinstance(value, Mapping) for value in self.parameters.values())
-            compiled = compile_plant(self.right_hand_side, layout_of(self.parameters) if nested else None)
-        except Exception as error:
-            raise ContractError(
-                f"UserPlant {self.label!r}: cannot compile its right-hand side as "
-                f"f(x, u, environment, p, dx) on float64 arrays: {error}"
-            ) from error
+            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(invalid_values)}.")
+        nested = any(isinstance(value, Mapping) for value in self.parameters.values())
+        compiled = compile_function(
+            where, lambda function: compile_plant(function, layout_of(self.parameters) if nested else None),
+            self.right_hand_side, "right-hand side as f(x, u, environment, p, dx) on float64 arrays",
+        )  # fmt: skip
         object.__setattr__(self, "_compiled", compiled)
         object.__setattr__(self, "_own", np.array(list(values.values()), dtype=float))
 
@@ -464,20 +459,21 @@ def check_plant(
     ContractError
         Naming the clause that is broken, the evidence and, where there is one, the option that changes the test.
     """
+    require = Contract(f"Plant {plant.name!r}").require
     if isinstance(plant, SteppedPlant):
-        _check_stepped(plant, speeds, symmetric, period)
+        _check_stepped(plant, speeds, symmetric, period, require)
         return
-    if plant.state_names[:6] != MOTION_STATES:
-        _break(plant, f"its states must begin with {MOTION_STATES}", f"they are {plant.state_names}")
-    if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():
-        _break(plant, "packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
+    names, packed = plant.state_names, plant.packed()
+    require(names[:6] == MOTION_STATES, f"its states must begin with {MOTION_STATES}", f"they are {names}")
+    is_row = packed.ndim == 1 and not np.isnan(packed).any()
+    require(is_row, "packed() must give one row of finite parameters", f"it gives {packed!r}")
     for speed in speeds:
         straight = plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0])
-        if not np.isfinite(straight).all() or straight[3] != speed:
-            evidence = f"{straight} at {speed} m/s"
-            _break(plant, "initial_state() must be finite and begin with the motion given", evidence)
-        _check_derivative(plant, straight)
-        _check_driving(plant, straight, symmetric, period)
+        is_start = np.isfinite(straight).all() and straight[3] == speed
+        evidence = f"{straight} at {speed} m/s"
+        require(is_start, "initial_state() must be finite and begin with the motion given", evidence)
+        _check_derivative(plant, straight, require)
+        _check_driving(plant, straight, symmetric, period, require)
 
 
 _DRY = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
@@ -485,12 +481,7 @@ _DRY = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
 _LOPSIDED = "a car that is lopsided on purpose passes with check_plant(..., symmetric=False)"
 
 
-def _break(plant: Plant | SteppedPlant, clause: str, evidence: str, remedy: str = "") -> NoReturn:
-    """Refuse a plant."""
-    raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}{'; ' if remedy else ''}{remedy}.")
-
-
-def _check_derivative(plant: Plant, straight: Array) -> None:
+def _check_derivative(plant: Plant, straight: Array, require: Callable[..., None]) -> None:
     """The derivative straight ahead, in a turn under a force, and in a turn under a prescribed acceleration."""
     turning = straight.copy()
     turning[:6] = 3.0, -2.0, 0.1, straight[3], 0.1, 0.05
@@ -500,48 +491,48 @@ def _check_derivative(plant: Plant, straight: Array) -> None:
         copies = [values.copy() for values in arguments]
         parameters = plant.packed()
         slope = plant.derivative(*arguments)
-        if not np.isfinite(slope).all():
-            missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
-            under = "under a prescribed acceleration, u[2]" if math.isfinite(u[2]) else "under a force, u[2] being NaN"
-            _break(plant, "every derivative must be written and finite", f"not so for {missing} {place} {under}")
-        changed = zip([*arguments, plant.packed()], [*copies, parameters], strict=True)
-        if not all(np.array_equal(a, b, equal_nan=True) for a, b in changed):
-            _break(plant, "x, u, environment and p must not be written to", place)
-        if (plant.derivative(*arguments) != slope).any():
-            _break(plant, "the same arguments must give the same derivative", place)
+        missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
+        under = "under a prescribed acceleration, u[2]" if math.isfinite(u[2]) else "under a force, u[2] being NaN"
+        require(not missing, "every derivative must be written and finite", f"not so for {missing} {place} {under}")
+        pairs = zip([*arguments, plant.packed()], [*copies, parameters], strict=True)
+        unchanged = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+        require(unchanged, "x, u, environment and p must not be written to", place)
+        again = plant.derivative(*arguments)
+        require((again == slope).all(), "the same arguments must give the same derivative", place)
         expected = (
             x[3] * portable.cos(x[2]) - x[4] * portable.sin(x[2]),
             x[3] * portable.sin(x[2]) + x[4] * portable.cos(x[2]),
             x[5],
         )
-        if not np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9):
-            evidence = f"{slope[:3]} instead of {expected} {place}"
-            _break(plant, "position and yaw must obey kinematics, eq. (5)", evidence)
+        obeys = np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9)
+        evidence = f"{slope[:3]} instead of {expected} {place}"
+        require(obeys, "position and yaw must obey kinematics, eq. (5)", evidence)
 
 
-def _check_driving(plant: Plant, straight: Array, symmetric: bool, period: float) -> None:
+def _check_driving(
+    plant: Plant, straight: Array, symmetric: bool, period: float, require: Callable[..., None]
+) -> None:  # fmt: skip
     """A second of driving, straight ahead and under constant steering."""
     place = f"at {straight[3]} m/s"
-    if np.abs(plant.derivative(straight, [0.0, 0.0], _DRY)[4:6]).max() > 1e-6 and symmetric:
-        _break(plant, "at zero steering the vehicle must go straight", place, _LOPSIDED)
+    goes_straight = np.abs(plant.derivative(straight, [0.0, 0.0], _DRY)[4:6]).max() <= 1e-6 or not symmetric
+    require(goes_straight, "at zero steering the vehicle must go straight", place, _LOPSIDED)
     left = _settled(plant, straight, 0.01, period, 0.05, refine=8)  # however long its own steps are
-    if not plant.derivative(left, [0.01, 0.0], _DRY)[5] > 0.0:
-        _break(plant, "steering to the left (positive) must begin a turn to the left (positive yaw rate)", place)
+    turns_left = plant.derivative(left, [0.01, 0.0], _DRY)[5] > 0.0
+    require(turns_left, "steering to the left (positive) must begin a turn to the left (positive yaw rate)", place)
     coarse, fine = (_settled(plant, straight, 0.02, period, 1.0, refine) for refine in (1, 2))
     if symmetric:
         right = _settled(plant, straight, -0.02, period, 1.0)
-        if not np.allclose(coarse[[0, 1, 2, 4, 5]] * [1, -1, -1, -1, -1], right[[0, 1, 2, 4, 5]], atol=1e-7):
-            evidence = f"{coarse[:6]} and {right[:6]} {place}"
-            _break(plant, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
-    if not np.isfinite(coarse).all() or not np.allclose(coarse[:6], fine[:6], rtol=1e-3, atol=1e-3):
-        _break(
-            plant,
-            "its steps must be small enough to integrate it",
-            f"{coarse[:6]}, with half the step {fine[:6]} {place}, {plant.substeps(period, straight[3])} steps in a "
-            f"control period of {period:g} s",
-            "a UserPlant takes shorter ones with steps= or longest_step=, a shorter control period is tested with "
-            "check_plant(..., period=)",
-        )
+        mirrors = np.allclose(coarse[[0, 1, 2, 4, 5]] * [1, -1, -1, -1, -1], right[[0, 1, 2, 4, 5]], atol=1e-7)
+        evidence = f"{coarse[:6]} and {right[:6]} {place}"
+        require(mirrors, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
+    is_accurate = np.isfinite(coarse).all() and np.allclose(coarse[:6], fine[:6], rtol=1e-3, atol=1e-3)
+    require(
+        is_accurate, "its steps must be small enough to integrate it",
+        f"{coarse[:6]}, with half the step {fine[:6]} {place}, {plant.substeps(period, straight[3])} steps in a "
+        f"control period of {period:g} s",
+        "a UserPlant takes shorter ones with steps= or longest_step=, a shorter control period is tested with "
+        "check_plant(..., period=)",
+    )  # fmt: skip
 
 
 def _settled(plant: Plant, x: Array, steering: float, period: float, duration: float, refine: int = 1) -> Array:
@@ -557,7 +548,9 @@ def _settled(plant: Plant, x: Array, steering: float, period: float, duration: f
     return x
 
 
-def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool, period: float) -> None:
+def _check_stepped(
+    plant: SteppedPlant, speeds: Sequence[float], symmetric: bool, period: float, require: Callable[..., None]
+) -> None:
     """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
     dt = period / steps_in(period, plant)
     call = PluginCall(f"Plant {plant.name!r}: step()", "six finite numbers")
@@ -567,27 +560,25 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
         for _ in range(max(1, round(1.0 / dt))):
             environment = _DRY.copy()
             motion = np.asarray(call(plant.step, dt, steering, 0.0, environment), dtype=np.float64)
-            if motion.shape != (6,) or not np.isfinite(motion).all():
-                _break(plant, "step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
-            if (environment != _DRY).any():
-                _break(plant, "step() must not write to its arguments", f"at {speed} m/s")
+            is_motion = motion.shape == (6,) and np.isfinite(motion).all()
+            require(is_motion, "step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
+            require((environment == _DRY).all(), "step() must not write to its arguments", f"at {speed} m/s")
         return motion
 
     for speed in speeds:
         place = f"at {speed} m/s"
         straight, left, right = (drive_one_second(speed, angle) for angle in (0.0, 0.02, -0.02))
-        if symmetric and abs(straight[[1, 2, 4, 5]]).max() > 1e-6:
-            _break(plant, "at zero steering the vehicle must go straight", f"{straight} {place}", _LOPSIDED)
-        if not abs(straight[0] - speed) < 0.2 * speed:
-            _break(plant, "position must follow the speed", f"X = {straight[0]:g} m after 1 s {place}")
-        if not left[2] > 0.0:
-            evidence = f"yaw {left[2]:g} rad {place}"
-            _break(plant, "steering to the left (positive) must begin a turn to the left", evidence)
-        if symmetric and not np.allclose(left * [1, -1, -1, 1, -1, -1], right, atol=1e-6):
-            evidence = f"{left} and {right} {place}"
-            _break(plant, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
-        if (drive_one_second(speed, 0.02) != left).any():
-            _break(plant, "after reset() the same steps must give the same motion", place)
+        goes_straight = abs(straight[[1, 2, 4, 5]]).max() <= 1e-6 or not symmetric
+        require(goes_straight, "at zero steering the vehicle must go straight", f"{straight} {place}", _LOPSIDED)
+        follows = abs(straight[0] - speed) < 0.2 * speed
+        require(follows, "position must follow the speed", f"X = {straight[0]:g} m after 1 s {place}")
+        evidence = f"yaw {left[2]:g} rad {place}"
+        require(left[2] > 0.0, "steering to the left (positive) must begin a turn to the left", evidence)
+        mirrors = np.allclose(left * [1, -1, -1, 1, -1, -1], right, atol=1e-6) or not symmetric
+        evidence = f"{left} and {right} {place}"
+        require(mirrors, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
+        repeats = (drive_one_second(speed, 0.02) == left).all()
+        require(repeats, "after reset() the same steps must give the same motion", place)
 
 
 def twin_of(car: Vehicle) -> DualTrack:
@@ -627,19 +618,7 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
 )  # fmt: skip
 
 
-@checked
-def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant] | str) -> None:
-    """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
-
-    factory: a callable, or ``"package.module:name"``, imported on first use; vehicle: a `Vehicle`; tyre: a `Tyre`, its
-    name or file, or None for the vehicle's own.
-
-    Raises
-    ------
-    InvalidInput
-        For a name that is taken or empty, or a factory that takes other arguments.
-    """
-    _registry.add(name, factory)
+register_plant, list_plants = _registry.add, _registry.names
 
 
 @checked
@@ -652,8 +631,3 @@ def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Pl
         When no plant has this name.
     """
     return _registry.make(name, vehicle, tyre)
-
-
-def list_plants() -> list[str]:
-    """The known names, sorted."""
-    return _registry.names()

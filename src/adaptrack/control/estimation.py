@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, real, reals
-from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.registry import Contract, Registry
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import Contract, Registry, compile_function
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 from adaptrack.control.models import PredictionModel
@@ -140,16 +140,11 @@ class UserEstimator(Estimator):
         self, estimate: MemberFunction, *, parameters: Mapping[str, float] | None = None,
         memory_size: int | Callable[[int], int] = 0, label: str = "user",
     ) -> None:  # fmt: skip
-        self.name = label
-        self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
+        self.name, where = label, f"UserEstimator {label!r}"
+        self.numbers = {key: real(where, key, value) for key, value in (parameters or {}).items()}
         self._memory_size = memory_size
-        try:
-            self.function = compile_estimator(estimate)
-        except Exception as error:
-            raise ContractError(
-                f"UserEstimator {label!r}: cannot compile its function as "
-                f"f(speed, measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
-            ) from error
+        form = "function as f(speed, measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays"
+        self.function = compile_function(where, compile_estimator, estimate, form)
 
     def parameters(self, model: PredictionModel) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)
@@ -165,33 +160,7 @@ _registry: Registry[Estimator] = Registry(
 )  # fmt: skip
 
 
-@checked
-def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> None:
-    """Make ``get_estimator(name, **options)`` call ``factory(**options)``.
-
-    Raises
-    ------
-    InvalidInput
-        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
-    """
-    _registry.add(name, factory)
-
-
-@checked
-def get_estimator(name: str, **options: Any) -> Estimator:
-    """A registered estimator.
-
-    Raises
-    ------
-    UnknownName
-        When none has this name.
-    """
-    return _registry.make(name, **options)
-
-
-def list_estimators() -> list[str]:
-    """The known names, sorted."""
-    return _registry.names()
+register_estimator, get_estimator, list_estimators = _registry.add, _registry.make, _registry.names
 
 
 @checked

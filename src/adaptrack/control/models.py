@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, final
 
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked
-from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.registry import Contract, Registry
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import Contract, Registry, compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.kernel import size_of
@@ -283,13 +283,8 @@ class UserModel(PredictionModel):
                 f"{', '.join(MEASURED_STATES)}, with y as the last."
             )
         self.period, self.numbers = period, dict(parameters or {})
-        try:
-            self.function = compile_model(discretise)
-        except Exception as error:
-            raise ContractError(
-                f"{where}: cannot compile its function as f(speed, period, parameters, a, b, e) on float64 "
-                f"numbers and arrays: {error}"
-            ) from error
+        form = "function as f(speed, period, parameters, a, b, e) on float64 numbers and arrays"
+        self.function = compile_function(where, compile_model, discretise, form)
 
     def parameters(self) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)
@@ -301,16 +296,7 @@ _registry: Registry[PredictionModel] = Registry(
 )  # fmt: skip
 
 
-@checked
-def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> None:
-    """Make ``get_model(name, vehicle, period)`` call ``factory(vehicle, period)``.
-
-    Raises
-    ------
-    InvalidInput
-        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
-    """
-    _registry.add(name, factory)
+register_model, list_models = _registry.add, _registry.names
 
 
 @checked
@@ -323,11 +309,6 @@ def get_model(name: str, vehicle: Vehicle, period: float = 0.1) -> PredictionMod
         When no model has this name.
     """
     return _registry.make(name, vehicle, period)
-
-
-def list_models() -> list[str]:
-    """The known names, sorted."""
-    return _registry.names()
 
 
 @checked

@@ -56,7 +56,8 @@ class Recorder:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             if not is_csv and self._journal.exists():
-                self._journal.replace(_free(self.path))
+                names = (self.path.with_name(f"{self.path.stem}-{number}.csv") for number in range(1, 10_000))
+                self._journal.replace(next(name for name in names if not name.exists()))  # left by a killed loop
             self._stream: TextIO | None = self._journal.open("w", encoding="utf-8", newline="\n")
             self._stream.write(",".join(LOG_COLUMNS) + "\n")
             self._stream.flush()
@@ -124,12 +125,6 @@ class Recorder:
         pyarrow.parquet.write_table(pyarrow.csv.read_csv(self._journal, convert_options=floats), content)
         write_atomically(self.path, content.getvalue())
         self._journal.unlink()
-
-
-def _free(path: Path) -> Path:
-    """Where what a killed loop has left is put."""
-    numbers = (path.with_name(f"{path.stem}-{number}.csv") for number in range(1, 10_000))
-    return next(candidate for candidate in numbers if not candidate.exists())
 
 
 def _at_motion_time(call: Any) -> Any:

@@ -38,7 +38,7 @@ from adaptrack.core.tracker import longitudinal as tracked_kernel
 from adaptrack.core.tracker.records import LONGEST_GAP
 from adaptrack.core.tracker.signals import STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
-from adaptrack.road.cornering import packed, steering_limit
+from adaptrack.road.speed import packed, steering_limit
 
 Array = NDArray[np.float64]
 ASSUMABLE_FRICTION = (0.05, 1.5)
@@ -296,33 +296,22 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float
 
     It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
     """
-    low, high = interval
+    (low, high), nothing, known = interval, np.zeros(0), {}
+    hypotheses, commands, plant, variances = 0, 0, nothing, nothing
     belief = None if controller is None else controller.belief
-    if controller is None or belief is None or not low < high:
-        memory, bank = friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(0)
-        knowledge = _knowledge()
-        nothing = np.zeros(0)
-        return friction_kernel.FrictionEstimate(memory, bank, nothing, nothing, period, nothing, low, high, knowledge)
-    rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
-    steering = SteeringActuator(**{**belief.steering, "rate": rate})
-    knowledge = _knowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
+    if belief is not None and low < high:
+        hypotheses, commands = FRICTION_COUNT, math.ceil(LONGEST_STEERING_DELAY / period) + 1
+        rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
+        plant = pack_plant(car, load_tyre(car.tyre), SteeringActuator(**{**belief.steering, "rate": rate}))
+        estimator = getattr(controller, "estimator", None)
+        filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
+        variances = filtering.variances()[FRICTION_SENSORS]
+        known = {"lag": belief.lag.value, "dead_time": belief.delay, **ASSUMED_KNOWLEDGE}
     return friction_kernel.FrictionEstimate(
-        friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
-        np.zeros(math.ceil(LONGEST_STEERING_DELAY / period) + 1),
-        pack_plant(car, load_tyre(car.tyre), steering), period, _variances(controller), low, high, knowledge,
+        friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(hypotheses),
+        np.zeros(commands), plant, period, variances, low, high,
+        LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | known),
     )  # fmt: skip
-
-
-def _knowledge(**values: float) -> Any:
-    """The car as assumed; zero where unspecified."""
-    return LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | values)
-
-
-def _variances(controller: Controller) -> Array:
-    """(3,) of `FRICTION_SENSORS`, as the controller assumes them."""
-    estimator = getattr(controller, "estimator", None)
-    filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
-    return filtering.variances()[FRICTION_SENSORS]
 
 
 def horizon_cells(top_speed: float, settings: Any) -> int:

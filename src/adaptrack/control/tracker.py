@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import BeliefState, Controller
+from adaptrack.control.controllers.base import CalledController, python_part
 from adaptrack.control.controllers.belief import SourcedValue
-from adaptrack.control.controllers.called_back import CalledController, python_part
 from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler
@@ -498,8 +498,9 @@ def input_check_of(controller: Any) -> InputCheck:
 
     It tests the delay of the steering that is specified and not learned.
     """
-    is_specified = controller.belief is not None and controller.learner is None
-    delay = controller.model.lag + controller.model.dead_time if is_specified else math.inf
+    model, belief, delay = controller.model, controller.belief, math.inf
+    if belief is not None and controller.learner is None:
+        delay = belief.lag.value + belief.delay if model is None else model.lag + model.dead_time
     return InputCheck(controller.vehicle, float(controller.period), delay, controller.position_noise)
 
 

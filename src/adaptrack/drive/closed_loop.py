@@ -18,7 +18,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import PluginCall
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.controllers import Controller
-from adaptrack.control.controllers.called_back import python_part
+from adaptrack.control.controllers.base import python_part
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController

@@ -20,8 +20,7 @@ from pydantic import Field
 from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
-from adaptrack.control.controllers.base import Command
-from adaptrack.control.controllers.called_back import CalledController
+from adaptrack.control.controllers.base import CalledController, Command
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.controllers.part import COMMON_ANSWER

@@ -14,7 +14,7 @@ from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
-from adaptrack.control.controllers.called_back import python_part
+from adaptrack.control.controllers.base import python_part
 from adaptrack.control.speed_control import SpeedControl, longitudinal_of, speed_path
 from adaptrack.core.kernel import Field
 from adaptrack.core.plants.contract import place, vehicle_batch

@@ -15,10 +15,9 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
-from adaptrack.road.speed import STRAIGHT_CURVATURE, SpeedPlan, unlimited
+from adaptrack.road.speed import STRAIGHT_CURVATURE, SpeedPlan, cornering_limit, steering_limit, unlimited
 
 CHECK_SPACING = 0.5
 """m, between the places that are looked at, beside those where the shape changes."""

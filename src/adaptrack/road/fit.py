@@ -443,11 +443,6 @@ class _Record:
     """(2,) m, about which they are fitted: keeps digits of far places"""
     closed: bool
 
-    def first_places(self) -> tuple[Array, float]:
-        """The length of the polygon up to each point, and its whole."""
-        places = np.concatenate([[0.0], np.cumsum(self.steps)])
-        return places[: len(self.points)], float(places[-1])
-
     @cached_property
     def steps(self) -> Array:
         """The distances (m) of points in a row, on a lap also of the last from the first."""
@@ -603,7 +598,8 @@ def _isolated(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray
 def _estimate(record: _Record) -> _Estimate:
     """The smoothing length and the places of the points, each from the other in turn."""
     points = record.points - record.origin
-    places, length = record.first_places()
+    polygon = np.concatenate([[0.0], np.cumsum(record.steps)])
+    places, length = polygon[: len(points)], float(polygon[-1])
     spacing, order = max(length / len(points), SHORTEST_KNOTS), 3
     if record.has_gaps:
         spacing, order = max(0.5 * float(np.quantile(record.steps, 0.1)), SHORTEST_KNOTS), 2

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from adaptrack.base.files import LISTED, Record, build, read_toml
+from adaptrack.base.files import LISTED, Record
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.segments import Array
@@ -26,7 +24,7 @@ MAX_BRAKING_SLOPE = 3.0
 class HoldableSpeed(Record):
     """Up to which braking the margins of a controller hold, by speed, lateral acceleration and friction.
 
-    Lateral accelerations are shares of what the car can corner with (`road.cornering`), decelerations of mu g.
+    Lateral accelerations are shares of what the car can corner with (`road.speed`), decelerations of mu g.
     `adaptrack.analysis.holdable` makes it; `plan_speed` keeps it. Between its nodes it is linear, beyond them constant.
     """
 
@@ -117,14 +115,4 @@ def _place(axis: tuple[float, ...], x: Array) -> tuple[np.ndarray, Array]:
     return i, np.clip((x - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)
 
 
-def load_holdable(path: str | os.PathLike[str]) -> HoldableSpeed:
-    """Read a file written by `HoldableSpeed.to_toml`.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
-    """
-    return build(HoldableSpeed, read_toml(path), Path(path))
+load_holdable = HoldableSpeed.from_toml

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -20,13 +21,13 @@ from adaptrack.base.checked import Finite, NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
 from adaptrack.base.limits import MAX_SPEED
-from adaptrack.cars.vehicle import Domain, Vehicle
+from adaptrack.cars.vehicle import Domain, SteeringActuator, Vehicle, load_tyre, pack_plant
 from adaptrack.core.maths import portable
+from adaptrack.core.planning import cornering as cornering_kernel
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.speed import STRAIGHT_CURVATURE as STRAIGHT_CURVATURE
 from adaptrack.core.speed import plan as plan_kernel
-from adaptrack.road.cornering import cornering_limit, packed, steering_limit
 from adaptrack.road.holdable_speed import HoldableSpeed, highest
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
@@ -386,3 +387,38 @@ def _soften(planning: Any, closed: bool) -> None:
             f"plan_speed: no speed keeps a jerk of {jerk:g} m/s^3 from this start: allow more, or start slower."
         )
     fastest[:] = np.minimum(solution.x, fastest)
+
+
+# -- cornering: the steady turn in which a tyre is at its peak, or the wheels at their limit -------------------------
+def steering_limit(car: Vehicle) -> float:
+    """rad, of the road wheels; where the car file does not say, the limit of the paper's table."""
+    limit = car.steering.limit if car.steering is not None else None
+    return cornering_kernel.STEERING_LIMIT if limit is None else limit
+
+
+def cornering_limit(car: Vehicle, curvature: ArrayLike, friction: ArrayLike) -> Array:
+    """The largest steady lateral acceleration (m/s^2) on bends, on a level road, see `adaptrack.core.planning`.
+
+    curvature: (n,) 1/m; friction: (n,). The limit is 0 where the wheels cannot be turned far enough even at a crawl.
+    """
+    bends, frictions = np.broadcast_arrays(np.asarray(curvature, float), np.asarray(friction, float))
+    accelerations = np.empty(bends.shape)
+    for mu in np.unique(frictions):
+        rows = frictions == mu
+        limits = bends[rows]
+        cornering_kernel.cornering_along(*_limits(car, float(mu)), limits)
+        accelerations[rows] = limits
+    return accelerations
+
+
+@lru_cache(maxsize=64)
+def packed(car: Vehicle) -> Array:
+    """The car on its own tyre as kernels read it, `PLANT_PARAMETERS`; without an actuator."""
+    return pack_plant(car, load_tyre(car.tyre), SteeringActuator.ideal())
+
+
+@lru_cache(maxsize=64)
+def _limits(car: Vehicle, friction: float) -> tuple[float, Array]:
+    """The tightest curvature (1/m) that the wheels allow, and the limit at even ones up to it."""
+    limits = np.empty(cornering_kernel.BENDS)
+    return cornering_kernel.cornering_limits(packed(car), steering_limit(car), friction, limits), limits

@@ -22,6 +22,7 @@ from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.vehicle import Domain
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario import random_drives
+from adaptrack.scenario.random_drives import PASSENGER_CAR_DOMAIN
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_friction, as_shape
 
@@ -55,11 +56,7 @@ def _manoeuvre(name: str, **fields: Any) -> Scenario:
 
 
 def step(
-    amplitude: float = 2.0,
-    speed: SignalLike = 15.0,
-    friction: Any = 0.9,
-    wind: Any = 0.0,
-    duration: float = 18.0,
+    amplitude: float = 2.0, speed: SignalLike = 15.0, friction: Any = 0.9, wind: Any = 0.0, duration: float = 18.0
 ) -> Scenario:
     """A step of the lateral reference under constant conditions, as in the tuning of the published MPC."""
     return _manoeuvre(
@@ -194,21 +191,16 @@ def sine(
     )
 
 
-def random_drive(seed: float = 0, duration: float = 60.0) -> Scenario:
+def random_drive(seed: float = 0, duration: float = 60.0, domain: Domain = PASSENGER_CAR_DOMAIN) -> Scenario:
     """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
 
-    This is `adaptrack.scenario.random_drive` with its default ranges. `load_scenario` can use a car's ranges instead.
+    This is `adaptrack.scenario.random_drive` with the speed, friction and wind ranges of a car's domain.
 
     Parameters
     ----------
     seed : float
         Seed of the random numbers; a whole number.
     """
-    return _random_drive(seed, duration, Domain())
-
-
-def _random_drive(seed: float, duration: float, domain: Domain) -> Scenario:
-    """Random drive with the speed, friction and wind ranges of a car's domain."""
     if not float(seed).is_integer():
         raise InvalidInput(f"seed = {seed!r}: must be a whole number.")
     return random_drives.random_drive(int(seed), duration, **domain.drive_options)
@@ -244,7 +236,8 @@ def scenario_options(name: str) -> dict[str, Any]:
     """Return the options of the scenario `name` with their defaults; they extend or replace `COMMON_OPTIONS`."""
     if name not in _MANOEUVRES:
         return {}
-    return {key: option.default for key, option in inspect.signature(_MANOEUVRES[name]).parameters.items()}
+    arguments = inspect.signature(_MANOEUVRES[name]).parameters.items()
+    return {key: option.default for key, option in arguments if key != "domain"}
 
 
 @checked
@@ -287,9 +280,8 @@ def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None
     if name in _MANOEUVRES:
         chosen = {key: options.pop(key) for key in own_options if key in options}
         if name == "random-drive" and domain is not None:
-            scenario = _random_drive(**(own_options | chosen), domain=domain)
-        else:
-            scenario = _MANOEUVRES[name](**chosen)
+            chosen["domain"] = domain
+        scenario = _MANOEUVRES[name](**chosen)
     elif name in files:
         scenario = Scenario.from_toml(files[name])
     elif name.lower().endswith(".csv"):

@@ -43,10 +43,7 @@ class Profile(FieldRecord, fields=SENSOR_FIELDS, after="preview"):
         ge=0,
         description="-, computation time between a measurement and its command, in control periods: 0 or 1",
     )
-    preview: bool = Field(
-        default=False,
-        description="default for whether controllers know the reference ahead",
-    )
+    preview: bool = Field(default=False, description="default for whether controllers know the reference ahead")
     move_weight: float = Field(
         default=0.0,
         ge=0,

@@ -335,23 +335,30 @@ def _columns(
 # -- tables in CSV files ----------------------------------------------------------------------------------------------
 def _read_table(path: str | os.PathLike[str]) -> dict[str, Array]:
     """Read the columns of a scenario's CSV file (see `Scenario.from_csv`) into arrays by name."""
-    lines = _lines(path)
+    where = os.fspath(path)
+    numbered, _ = files.table_lines(where, files.read_bytes(path), "strict")
+    try:
+        lines = [(line, [cell.strip() for cell in row]) for line, text in numbered for row in csv.reader([text])]
+    except csv.Error as error:
+        raise ConfigError(f"{where}: not a CSV file: {error}.") from error
+    lines = [(line, row) for line, row in lines if any(row)]
+    if not lines:
+        raise ConfigError(f"{where}: empty; its first line must name the columns.")
     (first, header), rows = lines[0], lines[1:]
-    _check_header(f"{os.fspath(path)}, line {first}", header)
+    _check_header(f"{where}, line {first}", header)
     if len(rows) < 2:
-        raise ConfigError(f"{os.fspath(path)}: at least two rows of numbers are needed; there are {len(rows)}.")
+        raise ConfigError(f"{where}: at least two rows of numbers are needed; there are {len(rows)}.")
     table = np.empty((len(rows), len(header)))
     for k, (line, row) in enumerate(rows):
-        where = f"{os.fspath(path)}, line {line}"
         if len(row) != len(header):
-            raise ConfigError(f"{where}: {len(row)} cells, but the header has {len(header)} columns.")
-        table[k] = [_number(where, name, cell) for name, cell in zip(header, row, strict=True)]
+            raise ConfigError(f"{where}, line {line}: {len(row)} cells, but the header has {len(header)} columns.")
+        table[k] = [_number(f"{where}, line {line}", name, cell) for name, cell in zip(header, row, strict=True)]
     t = table[:, header.index("t")]
     is_unsorted = np.diff(t) <= 0.0
     if is_unsorted.any():
         k = int(is_unsorted.argmax())
         raise ConfigError(
-            f"{os.fspath(path)}, line {rows[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
+            f"{where}, line {rows[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
             f"t = {float(t[k])!r} in line {rows[k][0]}; sort the rows by time and remove repetitions."
         )
     return {name: table[:, j].copy() for j, name in enumerate(header)}
@@ -381,19 +388,6 @@ def _check_header(where: str, header: list[str]) -> None:
     missing = [name for name in expected if name not in header]
     if missing:
         raise ConfigError(f"{where}: column {missing[0]!r} is missing; the columns must be {', '.join(expected)}.")
-
-
-def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
-    """Return the numbers and cells of the lines of a CSV file, without empty lines and comments."""
-    numbered, _ = files.table_lines(os.fspath(path), files.read_bytes(path), "strict")
-    try:
-        lines = [(number, [cell.strip() for row in csv.reader([line]) for cell in row]) for number, line in numbered]
-    except csv.Error as error:
-        raise ConfigError(f"{os.fspath(path)}: not a CSV file: {error}.") from error
-    lines = [(number, row) for number, row in lines if any(row)]
-    if not lines:
-        raise ConfigError(f"{os.fspath(path)}: empty; its first line must name the columns.")
-    return lines
 
 
 def _number(where: str, name: str, cell: str) -> float:

@@ -101,7 +101,6 @@ class Constant(Shape):
     value: float
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         return np.full(np.shape(t), self.value)
 
     def table(self) -> float:
@@ -156,7 +155,6 @@ class Knots(Shape):
         return _Curve(t, y, slopes(step, np.diff(y) / step))
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         knot_times, y, slope = self._curve.t, self._curve.y, self._curve.slope
         inside: Array = np.clip(np.asarray(t, dtype=np.float64), knot_times[0], knot_times[-1])
         if self.method == "linear" or knot_times.size == 1:
@@ -187,7 +185,6 @@ class Step(Shape):
     time: Time
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         return np.where(np.asarray(t, dtype=np.float64) >= self.time, self.after, self.before)
 
 
@@ -211,7 +208,6 @@ class LaneChange(Shape):
     duration: PositiveTime
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         s = _elapsed(t, self.start, self.duration)
         return self.amplitude * (s * s * s) * (10.0 + s * (6.0 * s - 15.0))
 
@@ -226,7 +222,6 @@ class TanhSteps(Shape):
     ]
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         amplitude, centre, tau = np.array(self.steps, dtype=np.float64).T
         scaled_time = (np.asarray(t, dtype=np.float64)[..., np.newaxis] - centre) / tau
         return (0.5 * amplitude * (1.0 + portable.tanh(scaled_time))).sum(axis=-1)
@@ -248,7 +243,6 @@ class Sine(Shape):
     start: Time = 0.0
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         elapsed = np.asarray(t, dtype=np.float64) - self.start
         wave = self.amplitude * portable.sin(math.tau * self.frequency * elapsed + self.phase)
         return np.where(elapsed >= 0.0, wave, 0.0)
@@ -268,7 +262,6 @@ class Gust(Shape):
     duration: PositiveTime
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         s = _elapsed(t, self.start, self.duration)
         return 0.5 * self.peak * (1.0 - portable.cos(math.tau * s))
 
@@ -287,7 +280,6 @@ class Sum(Shape):
     terms: Annotated[tuple[Shape, ...], BeforeValidator(_as_terms), Field(min_length=1)]
 
     def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
         return np.sum([term.at(t) for term in self.terms], axis=0)
 
     def scaled(self, factor: float) -> Self:

@@ -314,12 +314,8 @@ def _search_tuning(
     search = Swarm(SearchBounds.around(default).space(), swarm, seed=seed)
 
     def costs(tunings: Array) -> Array:
-        total = np.zeros(len(tunings))
-        for runs in training:
-            indices = np.tile(np.arange(len(runs)), len(tunings))
-            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [SEARCH_NOISE_SEED], indices)
-            total += portable.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
-        return total
+        logs = [portable.log(runs.costs_of(tunings, [SEARCH_NOISE_SEED])).mean(axis=1) for runs in training]
+        return np.sum(logs, axis=0)
 
     best, rows = search.run(costs, partial(report, "search")), np.array([tuning.as_array() for tuning in candidates])
     candidate_costs = costs(rows)

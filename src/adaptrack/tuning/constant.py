@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from adaptrack.analysis.holdable import holdable_speed
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.files import LISTED, Record, build, read_toml
+from adaptrack.base.files import LISTED, Record
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller, about_controller, get_controller
-from adaptrack.control.controllers.base import Policy
 from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmResult, SwarmSettings, at_bounds, search_space
@@ -68,7 +65,7 @@ def tune_constant(
         raise InvalidInput("tune_constant: noise_seeds: give at least one.")
     controller = runs.mpc if controller is None else controller
     search = Swarm(space or search_space(controller), swarm, seed=seed)
-    return search.run(lambda tunings: mean_costs(runs, controller, tunings, noise_seeds), progress)
+    return search.run(lambda tunings: runs.costs_of(tunings, noise_seeds, controller).mean(axis=1), progress)
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ def search_constant(
         runs, swarm, noise_seeds=noise_seeds, seed=seed, controller=controller, space=space, progress=progress
     )
     default = controller.packed_tuning()
-    default_cost = float(mean_costs(runs, controller, default[None], noise_seeds)[0])
+    default_cost = float(runs.costs_of(default[None], noise_seeds, controller).mean())
     is_better = result.cost < default_cost
     return ConstantSearch(
         tuning=dict(zip(space.names, (result.x if is_better else default).tolist(), strict=True)),
@@ -139,15 +136,6 @@ def swarm_within(runs: int, runs_per_tuning: int) -> SwarmSettings:
         )
     particles = min(SwarmSettings().particles, tunings)
     return SwarmSettings(particles=particles, generations=tunings // particles)
-
-
-def mean_costs(
-    runs: RunSet, controller: Controller, tunings: NDArray[np.float64], noise_seeds: Sequence[int]
-) -> NDArray[np.float64]:
-    """Return the mean cost over a set of runs and noise seeds (m^2), (n,), of each of n tunings (n, entries)."""
-    indices = np.tile(np.arange(len(runs)), len(tunings))
-    costs = runs.costs(Policy(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, indices)
-    return costs.reshape(len(tunings), len(runs)).mean(axis=1)
 
 
 # -- the file of a constant tuning -------------------------------------------------------------------------------------
@@ -234,14 +222,4 @@ class ConstantTuning(Record):
         return clauses
 
 
-def load_tuning(path: str | os.PathLike[str]) -> ConstantTuning:
-    """Read the file of a constant tuning.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is not TOML, or has an unknown key, a missing key or an invalid value.
-    """
-    return build(ConstantTuning, read_toml(path), Path(path))
+load_tuning = ConstantTuning.from_toml

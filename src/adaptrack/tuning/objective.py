@@ -7,9 +7,10 @@ and a stream number only, so a result depends on its own arguments only.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +22,7 @@ from adaptrack.control.controllers import MPC
 from adaptrack.control.controllers.base import Room
 from adaptrack.core.kernel import Resident
 from adaptrack.core.plants.contract import SLOTS
-from adaptrack.core.tuning import swarm as swarm_kernel
-from adaptrack.core.tuning import tune as kernels
+from adaptrack.core.tuning import tune as kernel
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario import Scenario, load_scenario
@@ -31,6 +31,8 @@ from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet
 
 Array = NDArray[np.float64]
+_Trial = Callable[[Array, Array], tuple[Array, int]]
+"""From tunings (n, 4), and the cost (n,) at which each may be stopped, to J (n,) and the control steps simulated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +104,7 @@ class Objective:
     def costs(self, point: ArrayLike, tunings: ArrayLike) -> Array:
         """Return J (n,) of each tuning (n, 4) at an operating point (4,), infinite if a run failed."""
         rows = np.array(tunings, dtype=np.float64, ndmin=2)
-        if isinstance(self.plant, SteppedPlant):
-            return self._simulated_costs(point, rows)
-        costs = np.empty(len(rows))
-        run, trial = self._trial(point, min(len(rows), SLOTS), rows[:, 0].max(), rows[:, 1].max())
-        # tunings, the cost at which each run stops, and the computed costs
-        evaluation = kernels.TuningCosts(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
-        for first in range(0, len(rows), SLOTS):
-            run.controller.mpc.memory["speed"] = np.nan  # the kernel forms the QP matrices anew for the next tunings
-            kernels.evaluate(first, min(SLOTS, len(rows) - first), evaluation, trial)
+        costs, _ = self._trial(point, *rows.max(axis=0)[:2])(rows, np.full(len(rows), np.inf))
         return costs
 
     def tune(
@@ -134,43 +128,39 @@ class Objective:
         space
             Bounds of the tuning; None for `SearchSpace.tuning`.
         """
-        swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
-        if isinstance(self.plant, SteppedPlant):
-            return self._search_by_costs(point, Swarm(space, swarm, seed=seed, stream=stream))
-        slots, count = min(swarm.particles, SLOTS), swarm.particles
-        _, trial = self._trial(point, slots, space.high[0], space.high[1])
-        evaluation = kernels.TuningCosts(np.zeros((count, 4)), np.empty(count), np.empty(count))
-        search = kernels.SearchRecord(
-            seed, stream, swarm.packed(space), space.packed(), swarm_kernel.particles(count, 4), evaluation,
-            np.empty(swarm.generations),
-        )  # fmt: skip
-        evaluations, steps = kernels.tune(search, trial)
-        leader_cost = float(search.best[-1])
-        # `search.best` contains the lowest cost up to each generation
-        return PointTuning(space.values(search.swarm.leader), leader_cost, search.best, evaluations, steps)
+        search = Swarm(space or SearchSpace.tuning(), swarm, seed=seed, stream=stream)
+        trial, steps = self._trial(point, *search.space.high[:2]), 0
+        while not search.is_done:
+            costs, done = trial(search.ask(), search.best_costs)
+            search.tell(costs)
+            steps += done
+        result = search.result()
+        return PointTuning(result.x, result.cost, result.trace, result.evaluations, steps)
 
-    def _simulated_costs(self, point: ArrayLike, tunings: Array) -> Array:
-        """Compute `costs` with `simulate`, one run at a time."""
+    def _trial(self, point: ArrayLike, max_Np: float, max_Nc: float) -> _Trial:
+        """Return the trial of tunings at an operating point; their horizons are at most max_Np and max_Nc (periods)."""
+        if isinstance(self.plant, SteppedPlant):
+            return partial(self._simulated_trial, point)
+        batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
+        room = Room(max_Np, max_Nc, residuals=False)
+        run = batch.run_record(SLOTS, int(batch.substeps[0]), room, weight=self.weight)
+        run.vehicles.start[:] = batch.starts
+        record = Resident(kernel.Trial(run, np.array(self.noise_seeds, dtype=np.int64)))
+
+        def trial(tunings: Array, cost_limits: Array) -> tuple[Array, int]:
+            costs = np.empty(len(tunings))
+            evaluation = kernel.TuningCosts(np.ascontiguousarray(tunings), cost_limits, costs)
+            groups = range(0, len(tunings), SLOTS)
+            return costs, sum(
+                kernel.evaluate(first, min(SLOTS, len(tunings) - first), evaluation, record) for first in groups
+            )
+
+        return trial
+
+    def _simulated_trial(self, point: ArrayLike, tunings: Array, cost_limits: Array) -> tuple[Array, int]:
+        """Try tunings with `simulate`, one run at a time; every run is driven to its end."""
         with self._single_thread:  # type: ignore[attr-defined]
             runs = RunSet(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
             runs.weight = self.weight
-            return runs.drive(tunings, self.noise_seeds, np.zeros(len(tunings), np.int64)).mean(axis=1)
-
-    def _search_by_costs(self, point: ArrayLike, swarm: Swarm) -> PointTuning:
-        """Search like `tune`, but with costs that `costs` computes: every run is driven to its end."""
-        result, runs = swarm.run(partial(self.costs, point)), swarm.settings.evaluations * len(self.noise_seeds)
-        steps = runs * self.scenario(point).sample(self.mpc.period).n
-        return PointTuning(result.x, result.cost, result.trace, result.evaluations, steps)
-
-    def _trial(self, point: ArrayLike, slots: int, max_Np: float, max_Nc: float) -> tuple[Any, Any]:
-        """Return the runs of up to `slots` tunings at an operating point, and their `core.tuning.tune.Trial`.
-
-        max_Np and max_Nc (control periods) are the largest horizons of these tunings.
-        """
-        assert isinstance(self.plant, Plant)
-        batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
-        room = Room(max_Np, max_Nc, residuals=False)
-        run = batch.run_record(slots, int(batch.substeps[0]), room, weight=self.weight)
-        run.vehicles.start[:] = batch.starts
-        noise = np.array(self.noise_seeds, dtype=np.int64)
-        return run, Resident(kernels.Trial(run, noise))
+            costs = runs.drive(tunings, self.noise_seeds, np.zeros(len(tunings), np.int64)).mean(axis=1)
+        return costs, len(tunings) * len(self.noise_seeds) * runs.periods

@@ -421,6 +421,11 @@ class Swarm:
         return Best(self.space.values(self._swarm.leader), float(self._swarm.progress[kernel.PROGRESS.leader_cost]))
 
     @property
+    def best_costs(self) -> Array:
+        """The lowest cost of each particle so far, (particles,), infinite at first; a higher one changes nothing."""
+        return self._swarm.best_costs.copy()
+
+    @property
     def trace(self) -> Array:
         """The lowest cost up to and including each finished generation, (finished generations,)."""
         return self._trace[: self.generation].copy()

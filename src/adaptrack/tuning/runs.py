@@ -123,7 +123,9 @@ class RunSet:
         """Number of control periods of each run, (runs,)."""
         self.periods = int(self.lengths.max())
         self.segment, self.before, self.stride = segment or self.periods, before, stride
-        self.variables = _scheduling_variables(samples)
+        names = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
+        columns = [samples[:, getattr(SIGNAL, name), :-1] for name in names]
+        self.variables = np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
         """Inputs of a scheduler, (runs, periods, `SchedulingVariables`).
 
         The offset is zero, since it is unknown before the run. A shorter run is continued with its last row.
@@ -140,12 +142,6 @@ class RunSet:
         return Batch(
             self.plant, controller, self.scenarios, self.profile, self.driver, self.failure, self.perception
         )  # fmt: skip
-
-    def _cached_batch(self, controller: Controller) -> Batch:
-        """Return the batch of a controller that replaces the MPC; the last batch is reused for the same controller."""
-        if self._last_batch is None or self._last_batch.controller is not controller:
-            self._last_batch = self._batch(controller)
-        return self._last_batch
 
     def __len__(self) -> int:
         return len(self.signals)
@@ -177,6 +173,12 @@ class RunSet:
         """Return the mean of J over the noise seeds (m^2), (runs,). A failed run costs `failed_cost`."""
         costs = self.drive(policy, seeds, indices)
         return np.where(np.isfinite(costs), costs, self.failed_cost).mean(axis=1)
+
+    def costs_of(self, tunings: Array, seeds: Sequence[int], controller: Controller | None = None) -> Array:
+        """Return `costs` of every run with every tuning (m^2), (tunings, runs); None: tunings of the set's MPC."""
+        indices = np.tile(np.arange(len(self)), len(tunings))
+        costs = self.costs(Policy(controller, np.repeat(tunings, len(self), axis=0)), seeds, indices)
+        return costs.reshape(len(tunings), len(self))
 
     def trajectories(self, policy: PolicyArgument, seeds: Sequence[int]) -> list[list[Trajectory]]:
         """Return the trajectories of the runs that `drive` evaluates: for each run a list with each noise seed."""
@@ -214,7 +216,12 @@ class RunSet:
 
     def _run(self, policy: PolicyArgument, seed: int, indices: Indices, segmented: bool = False) -> Outcome:
         controller, tunings, scheduler = policy_of(policy)
-        batch = self._mpc_batch if controller is None else self._cached_batch(controller)
+        if controller is None:
+            batch = self._mpc_batch
+        elif self._last_batch is not None and self._last_batch.controller is controller:
+            batch = self._last_batch
+        else:
+            batch = self._last_batch = self._batch(controller)
         if scheduler is not None:
             self._warn_of(scheduler)
         elif tunings is None:
@@ -312,14 +319,6 @@ def policy_of(policy: Any, where: str = "policy") -> Policy:
             "method `step`."
         )
     return Policy(tunings=rows)
-
-
-def _scheduling_variables(samples: Array) -> Array:
-    """Return the inputs of a scheduler in every period of each run, with an offset of zero."""
-    rows = samples[:, :, :-1]
-    names = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
-    columns = [rows[:, getattr(SIGNAL, name)] for name in names]
-    return np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
 
 
 # -- sets of runs for training and tests ------------------------------------------------------------------------------

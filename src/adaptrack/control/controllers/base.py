@@ -20,7 +20,10 @@ from adaptrack.base.registry import PluginCall
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.controllers.law import law_controller
-from adaptrack.core.kernel import row_of
+from adaptrack.core.controllers.part import COMMON_ANSWER, controller_part
+from adaptrack.core.estimators.learning import BELIEF_NAMES
+from adaptrack.core.kernel import address_of, row_of
+from adaptrack.core.member import CallBack
 from adaptrack.core.synthesis import laws
 from adaptrack.road.road_ahead import RoadAhead, straight
 
@@ -210,12 +213,7 @@ class Controller(ABC):
 
     @abstractmethod
     def step(
-        self,
-        state: ArrayLike,
-        speed: float,
-        reference: ArrayLike,
-        variables: Any = None,
-        road: RoadAhead | None = None,
+        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None, road: RoadAhead | None = None
     ) -> Any:
         """One control step, see `CompiledController.step`; the steering angle (rad), or an answer that has it.
 
@@ -458,12 +456,7 @@ class CompiledController(Controller):
         self._angle = wheel_angle("applied: angle", angle)
 
     def step(
-        self,
-        state: ArrayLike,
-        speed: float,
-        reference: ArrayLike,
-        variables: Any = None,
-        road: RoadAhead | None = None,
+        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None, road: RoadAhead | None = None
     ) -> Command:
         """One control step.
 
@@ -515,3 +508,51 @@ class CompiledController(Controller):
     def __copy__(self) -> Self:
         """A controller of its own: memories are never shared."""
         return copy.deepcopy(self)
+
+
+# -- controllers in Python as parts of compiled loops ------------------------------------------------------------------
+def python_part(controller: Controller | None, step: CallBack | None, request: CallBack | None = None) -> Any:
+    """A controller in Python as a part of compiled loops (`core.controllers.part.ControllerPart`), for one slot.
+
+    Its answer says what it has learned, if it learns. controller, step: None if the caller of the loop is the
+    controller.
+    """
+    learns = controller is not None and controller.learner is not None
+    part = controller_part(
+        controller, 1, {"answer": len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0)},
+        request=address_of(request), step=address_of(step), beliefs=len(COMMON_ANSWER) if learns else 0,
+    )  # fmt: skip
+    if controller is None:
+        return part
+    informed = part.mpc.informed._replace(learned=controller.learner_memory[None])
+    return part._replace(mpc=part.mpc._replace(informed=informed))
+
+
+class CalledController:
+    """A controller in Python, as a compiled loop calls it."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller, self.call = controller, step_call(controller)
+        self._answered = math.nan  # rad, its last command; NaN before its first
+
+    def restart(self) -> None:
+        """Let the controller begin anew; what it has learned stays."""
+        self.controller.restart()
+        self._answered = math.nan
+
+    def step(self, before: float, measured: Array, speed: float, reference: Array, *variables: Any, **road: Any) -> Any:
+        """One step of the controller, which is told the command in force (rad) where that is not its own."""
+        controller: Any = self.controller
+        if before != self._answered:
+            controller.applied(before)
+        state = measured if controller.sees_all_sensors else measured[:4]  # wheel angle and accelerometer
+        return self.call(controller.step, state, speed, reference, *variables, **road)
+
+    def write(self, answered: Any, before: float, row: Array) -> Command:
+        """Write what the controller answered to the row of its part, and return it as a command."""
+        command = command_of(answered, before, self.call)
+        row[: len(COMMON_ANSWER)] = command.angle, command.angle - before, command.held
+        if self.controller.learner is not None:
+            row[len(COMMON_ANSWER) :] = getattr(answered, "learned", math.nan)
+        self._answered = command.angle
+        return command

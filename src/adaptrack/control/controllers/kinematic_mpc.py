@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
-from adaptrack.base.checked import checked, real, whole_number
+from adaptrack.base.checked import Count, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
@@ -77,8 +77,8 @@ class KinematicMPC(CompiledController):
         vehicle: VehicleArgument,
         *,
         cutoff: float = CUTOFF,
-        stages: int = AUTOWARE_STAGES,
-        step: float = AUTOWARE_STAGE_LENGTH,
+        stages: Annotated[Count, Field(le=MOST_STAGES)] = AUTOWARE_STAGES,
+        step: Annotated[Positive, "s"] = AUTOWARE_STAGE_LENGTH,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         computation: float | None = None,
@@ -90,12 +90,7 @@ class KinematicMPC(CompiledController):
         self.vehicle = vehicle
         setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits, computation)
         self.belief, self.pose_age = setup.belief, setup.pose_age
-        self.stages = whole_number("KinematicMPC", "stages", stages)
-        if not 1 <= self.stages <= MOST_STAGES:
-            raise InvalidInput(f"KinematicMPC: stages = {stages!r}: must be from 1 to {MOST_STAGES}.")
-        self.step_length = real("KinematicMPC", "step", step)
-        if not 0.0 < self.step_length < math.inf:
-            raise InvalidInput(f"KinematicMPC: step = {step!r} s: must be positive and finite.")
+        self.stages, self.step_length = stages, step
         tuning = {**_all_weights(weights), "cutoff": cutoff}
         behind = (self.pose_age + self.belief.delay) / setup.period
         self.memory_size = kernel.memory_size(self.stages, behind)

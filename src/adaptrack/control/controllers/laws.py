@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Hint, NotNegative, Positive, checked, real, whole_number
-from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
@@ -51,6 +52,7 @@ class PurePursuit(CompiledController):
     name, law_name, is_exportable = "pure pursuit", "pure-pursuit", True
     function = staticmethod(pure_pursuit.pure_pursuit)
     memory_size, diagnostic_names = pure_pursuit.MEMORY, pure_pursuit.PURSUIT_DIAGNOSTICS
+    positive: ClassVar[tuple[str, ...]] = ("lookahead_min",)
     tuning_bounds: Mapping[str, TuningBounds] = {
         "lookahead_time": TuningBounds(0.1, 1.5),
         "lookahead_min": TuningBounds(1.0, 10.0),
@@ -70,12 +72,6 @@ class PurePursuit(CompiledController):
         self.vehicle = vehicle
         tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}
         super().__init__(tuning, period=period, limits=limits, preview=preview)
-
-    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
-        """See `Controller.check_tuning`; the least distance must be positive."""
-        if tuning["lookahead_min"] == 0.0:
-            raise InvalidInput("PurePursuit: lookahead_min = 0.0 m: must be positive, or a standing car has no target.")
-        return super().check_tuning(tuning)
 
     def own_parameters(self) -> Array:
         return self._made_by(laws.pure_pursuit_parameters, laws.PURSUIT)
@@ -304,13 +300,8 @@ class UserController(CompiledController):
         self.tuning_bounds |= {
             name: TuningBounds(float(ends[0]), float(ends[1])) for name, ends in (bounds or {}).items()
         }
-        try:
-            self.function = compile_law(law)
-        except Exception as error:
-            raise ContractError(
-                f"{where}: cannot compile its law as "
-                f"f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays: {error}"
-            ) from error
+        form = "law as f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays"
+        self.function = compile_function(where, compile_law, law, form)
         super().__init__(tuning or {}, period=period, limits=limits, preview=preview)
 
     def own_parameters(self) -> Sequence[float]:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-import os
 from enum import IntEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from adaptrack.base.checked import Hint, checked
-from adaptrack.base.files import FieldRecord, build, read_toml
+from adaptrack.base.checked import Hint
+from adaptrack.base.files import FieldRecord
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
@@ -99,18 +97,7 @@ def _interval(field: KernelField, value: float, sigma: float) -> LearnedNumber:
     return LearnedNumber(field.meaning, value, max(value - WITHIN * sigma, least), value + WITHIN * sigma, field.unit)
 
 
-@checked
-def load_learned_car(path: str | os.PathLike[str]) -> LearnedCar:
-    """Read a file of `LearnedCar.to_toml`.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
-    """
-    return build(LearnedCar, read_toml(path), Path(path))
+load_learned_car = LearnedCar.from_toml
 
 
 class Learning(RecordSettings, record=LearningMethod):

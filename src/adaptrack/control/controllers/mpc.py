@@ -55,6 +55,10 @@ _AT_LIMIT = {float(sum_of): sum_of for sum_of in range(8)}
 """`MPCCommand.status` and `MPCCommand.at_limit` by what a kernel answers"""
 _ANSWER = 12
 """Numbers of `core.controllers.mpc.MPC_ANSWER`; what is learned follows."""
+_HILDRETH = {
+    "exact": kernel.HILDRETH_THEN_EXACT, "apply": kernel.HILDRETH_APPLIED, "hold": kernel.HILDRETH_OR_HOLD
+}  # fmt: skip
+"""What a kernel does with Hildreth's answers, by `QPSolver.on_uncertified`."""
 _DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASUREMENT`)"""
@@ -143,6 +147,11 @@ def _given_parts(
             f"MPC: period = {period!r} s, but the model's is {prediction_model.period!r} s: give both alike."
         )
     return MPCParts(Tuning(), prediction_model, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
+
+
+def _whole_horizon(longest: float) -> float:
+    """A horizon for which there shall be memory, rounded; any that is finite for an infinite one."""
+    return max(1.0, math.floor(longest + 0.5)) if longest < math.inf else 1e9
 
 
 class MPC(Controller):
@@ -315,43 +324,23 @@ class MPC(Controller):
         """
         solver, sweeps, tolerance = kernel.EXACT_ONLY, 1, 0.0
         if isinstance(self.solver, Hildreth):
-            solver = {
-                "exact": kernel.HILDRETH_THEN_EXACT,
-                "apply": kernel.HILDRETH_APPLIED,
-                "hold": kernel.HILDRETH_OR_HOLD,
-            }[self.solver.on_uncertified]
+            solver = _HILDRETH[self.solver.on_uncertified]
             sweeps, tolerance = self.solver.max_sweeps, self.solver.tolerance
         elif self.solver.on_uncertified == "apply":
             solver = kernel.HILDRETH_APPLIED  # of a back-end in Python: what is not certified steers as well
         limits = self.limits
         return kernel.settings(
-            period=self.period,
-            move_min=limits.move[0],
-            move_max=limits.move[1],
-            angle_min=limits.angle[0],
-            angle_max=limits.angle[1],
-            ahead=limits.ahead,
-            output_min=limits.output[0],
-            output_max=limits.output[1],
-            output_weight=limits.output_weight,
-            error_max=limits.error,
-            laguerre=self.moves.kind == "laguerre",
-            pole=self.moves.pole,
-            terms=self.moves.terms,
-            preview=self.preview,
-            delay=self.model.dead_time / self.period,
-            speed_floor=self.speed_floor,
-            informed=self.estimator.function is not None,
-            solver=solver,
-            max_sweeps=sweeps,
-            max_changes=getattr(self.solver, "max_iterations", None) or 0,
-            tolerance=tolerance,
-            residuals=residuals,
-            longest_horizon=min(
-                self.longest_horizon, max(1.0, math.floor(longest + 0.5)) if longest < math.inf else 1e9
-            ),
-            most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
-        )
+            period=self.period, preview=self.preview, speed_floor=self.speed_floor,
+            delay=self.model.dead_time / self.period, informed=self.estimator.function is not None,
+            move_min=limits.move[0], move_max=limits.move[1], angle_min=limits.angle[0], angle_max=limits.angle[1],
+            ahead=limits.ahead, output_min=limits.output[0], output_max=limits.output[1],
+            output_weight=limits.output_weight, error_max=limits.error,
+            laguerre=self.moves.kind == "laguerre", pole=self.moves.pole, terms=self.moves.terms,
+            solver=solver, max_sweeps=sweeps, max_changes=getattr(self.solver, "max_iterations", None) or 0,
+            tolerance=tolerance, residuals=residuals,
+            longest_horizon=min(self.longest_horizon, _whole_horizon(longest)),
+            most_moves=min(self.most_moves, _whole_horizon(most)),
+        )  # fmt: skip
 
     def user_functions(self) -> list[Any]:
         return [self.model.function, self.estimator.function]
@@ -382,7 +371,6 @@ class MPC(Controller):
         return (*product(["tuning"], self.tuning_names), *product(["diagnostics"], self.diagnostic_names))
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
-        """See `Controller.checked_tunings`."""
         rows = super().checked_tunings(tunings)
         if (rows[:, 2] < 0.0).any() or (rows[:, 3] <= 0.0).any():
             raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
@@ -668,8 +656,9 @@ class MPC(Controller):
             speed = number("speed", speed)
         if isfinite(speed):
             self._speed, self._without_speed = speed, 0
-        else:
-            speed = self._last_speed()
+        else:  # the last speed counts for some time
+            self._without_speed += 1
+            speed = self._speed if self._without_speed * self.period <= SPEED_KEPT else math.nan
         inputs[0] = speed
         if n_states != self._known:
             self._measured[n_states:] = NOTHING_MEASURED[n_states:]
@@ -678,11 +667,6 @@ class MPC(Controller):
             self._look_along(road_ahead(road), speed)
         if self.scheduler is not None:
             self._schedule(variables)
-
-    def _last_speed(self) -> float:
-        """The last speed (m/s) for some time, where the present one is missing; then NaN."""
-        self._without_speed += 1
-        return self._speed if self._without_speed * self.period <= SPEED_KEPT else math.nan
 
     def _look_along(self, road: RoadAhead | None, speed: float) -> None:
         """Take in the road ahead."""

@@ -125,6 +125,4 @@ def about_controller(name: str) -> About:
     return _descriptions[name]
 
 
-def list_controllers() -> list[str]:
-    """The known names, sorted."""
-    return _registry.names()
+list_controllers = _registry.names

@@ -1,5 +1,3 @@
-from .check import check_scheduler as check_scheduler
-from .check import read_tuning as read_tuning
 from .functions import (
     Function as Function,
     Network as Network,
@@ -18,9 +16,11 @@ from .schedule import (
     Lookup as Lookup,
     Schedule as Schedule,
     StabilityMap as StabilityMap,
+    check_scheduler as check_scheduler,
     list_schedulers as list_schedulers,
     load_scheduler as load_scheduler,
     made_for as made_for,
+    read_tuning as read_tuning,
 )
 from .variables import VARIABLES as VARIABLES
 from .variables import SchedulingVariables as SchedulingVariables

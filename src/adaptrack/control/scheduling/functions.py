@@ -73,13 +73,17 @@ class Function(ABC):
     def pack(self) -> Packed:
         """The function as the kernels read it."""
 
-    @abstractmethod
+    def affine(self, scale: float, offset: float) -> Self:
+        """Return the function multiplied by `scale`, with `offset` added everywhere."""
+        raise NotImplementedError
+
     def shifted(self, by: float) -> Self:
         """Return a copy of the function with `by` added everywhere."""
+        return self.affine(1.0, by)
 
-    @abstractmethod
     def blended(self, share: float, value: float) -> Self:
         """The function that lies a share of the way from this one to `value` everywhere."""
+        return self.affine(1.0 - share, share * value)
 
     def save(self) -> dict[str, Any]:
         """Return the content of the function's file (text, numbers, lists), which `load` reads back to the bit.
@@ -176,11 +180,8 @@ class Number(Function):
     def pack(self) -> Packed:
         return Packed(kernel.NUMBER, (), (self.value,), 0)
 
-    def shifted(self, by: float) -> Self:
-        return type(self)(self.value + by)
-
-    def blended(self, share: float, value: float) -> Self:
-        return type(self)((1.0 - share) * self.value + share * value)
+    def affine(self, scale: float, offset: float) -> Self:
+        return type(self)(scale * self.value + offset)
 
     @classmethod
     def load(cls, saved: Mapping[str, Any]) -> Self:
@@ -226,11 +227,8 @@ class Table(Function):
         nodes = np.concatenate(self.axes)
         return Packed(kind, [self.n_inputs, *self.values.shape], [*nodes, *self.values.ravel()], 2 * self.n_inputs)
 
-    def shifted(self, by: float) -> Self:
-        return replace(self, values=self.values + by)
-
-    def blended(self, share: float, value: float) -> Self:
-        return replace(self, values=(1.0 - share) * self.values + share * value)
+    def affine(self, scale: float, offset: float) -> Self:
+        return replace(self, values=scale * self.values + offset)
 
     @classmethod
     def load(cls, saved: Mapping[str, Any]) -> Self:
@@ -310,12 +308,8 @@ class Network(Function):
             numbers += np.vstack((weights, biases)).T.ravel().tolist()
         return Packed(kernel.NETWORK, [int(self.relu), len(self.biases), *widths], numbers, sum(widths))
 
-    def shifted(self, by: float) -> Self:
-        return replace(self, out_low=self.out_low + by, out_high=self.out_high + by)
-
-    def blended(self, share: float, value: float) -> Self:
-        complement, added = 1.0 - share, share * value
-        return replace(self, out_low=complement * self.out_low + added, out_high=complement * self.out_high + added)
+    def affine(self, scale: float, offset: float) -> Self:
+        return replace(self, out_low=scale * self.out_low + offset, out_high=scale * self.out_high + offset)
 
     @classmethod
     def load(cls, saved: Mapping[str, Any]) -> Self:
@@ -424,14 +418,9 @@ class Sugeno(Function):
         numbers = np.concatenate((*parts, self.consequents[:, :-1].ravel(), self.consequents[:, -1]))
         return Packed(kernel.SUGENO, integers, numbers.tolist(), len(self.owner) + self.n_rules)
 
-    def shifted(self, by: float) -> Self:
-        consequents = self.consequents.copy()
-        consequents[:, -1] += by
-        return replace(self, consequents=consequents)
-
-    def blended(self, share: float, value: float) -> Self:
-        consequents = (1.0 - share) * self.consequents
-        consequents[:, -1] += share * value
+    def affine(self, scale: float, offset: float) -> Self:
+        consequents = scale * self.consequents
+        consequents[:, -1] += offset
         return replace(self, consequents=consequents)
 
     @classmethod

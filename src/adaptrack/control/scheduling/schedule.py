@@ -25,11 +25,13 @@ from adaptrack.base.checked import Count, NotNegative, Positive, checked, real, 
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
+from adaptrack.base.registry import Contract
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.controllers.base import Policy
 from adaptrack.control.controllers.compatibility import car_of
 from adaptrack.control.controllers.tuning import ENTRIES as ENTRIES
 from adaptrack.control.controllers.tuning import HORIZONS
+from adaptrack.control.controllers.tuning import read_tuning as read_tuning
 from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
 from adaptrack.core.library import kernels_hash
@@ -596,3 +598,71 @@ def _read_content(path: Path) -> Any:
     if digest != file.get("sha256"):
         raise StorageError(f"{path}: damaged: its content does not match its checksum. Train or copy it again.")
     return content
+
+
+# -- the contract ------------------------------------------------------------------------------------------------------
+def check_scheduler(scheduler: Any, samples: int = 200, seed: int = 0) -> None:
+    """Refuse a scheduler that breaks the contract.
+
+    It must be callable with `SchedulingVariables` and give a `Tuning` or four finite numbers (Np, Nc, Q, R) with
+    1 <= Nc <= Np after rounding, Q >= 0 and R > 0, for variables inside, at the corners of and far outside the
+    operating domain (`VARIABLES`); and give the same for the same variables. Of a `Schedule` for another controller,
+    the answer must be a finite number for each of its entries. Every entry of a `Schedule` is also compared with its
+    own function evaluated alone: no output can reach another's entry.
+
+    Raises
+    ------
+    ContractError
+        When it breaks one; the message gives the variables and what came back.
+    """
+    contract = Contract("scheduler")
+    contract.require(callable(scheduler), "must be callable, variables -> (Np, Nc, Q, R)", repr(scheduler))
+    rows = _check_samples(samples, np.random.default_rng(seed))
+    entries = scheduler.entries if isinstance(scheduler, Schedule) else ENTRIES
+    for row in rows:
+        variables = SchedulingVariables(*row.tolist())
+        try:
+            tuning, again = (read_tuning(scheduler(variables), entries) for _ in range(2))
+        except (Exception, SystemExit) as error:
+            raise contract.breach(f"failed for {variables}", error) from error
+        contract.require(
+            tuning == again, "must give the same for the same variables", f"{tuning}, {again}, {variables}"
+        )
+        if entries == ENTRIES:
+            Np, Nc, Q, R = tuning
+            is_sound = 1 <= round(Nc) <= round(Np) and Q >= 0.0 and R > 0.0
+            contract.require(is_sound, "need 1 <= Nc <= Np, Q >= 0, R > 0", f"{tuning} for {variables}")
+    if isinstance(scheduler, Schedule):
+        _check_functions(replace(scheduler, guard=None), rows, contract)
+
+
+def _check_samples(count: int, rng: np.random.Generator) -> Array:
+    """Scheduling variables inside, at the corners of and far outside the operating domain."""
+    low, high = np.array([(variable.low, variable.high) for variable in VARIABLES.values()]).T
+    rows = low + (high - low) * rng.uniform(size=(count, len(low)))
+    rows[::7] = np.where(rng.uniform(size=rows[::7].shape) < 0.5, low, high)
+    rows[::11] += rng.normal(size=rows[::11].shape) * 3.0 * (high - low)
+    return rows
+
+
+def _check_functions(schedule: Schedule, rows: Array, contract: Contract) -> None:
+    planned = Schedule.batch(schedule, rows)  # what compiled runs are given
+    called = np.array([read_tuning(schedule(SchedulingVariables(*row)), schedule.entries) for row in rows.tolist()])
+    k = int(np.argmax((called != planned).any(axis=1)))
+    evidence = f"called, it gives {called[k].tolist()}; compiled, {planned[k].tolist()}"
+    contract.require((called == planned).all(), "must give the same in Python and compiled", evidence)
+    columns = [SchedulingVariables._fields.index(name) for name in schedule.inputs]
+    x = np.clip(rows[:, columns], *schedule.domain.T)
+    for i, name in enumerate(schedule.entries):
+        entry = schedule.tuning[name]
+        expected = entry.function.predict(x)
+        expected = np.clip(portable.power(10.0, expected) if entry.log10 else expected, entry.low, entry.high)
+        if schedule.tunes_mpc and name == "Nc":
+            expected = np.minimum(expected, planned[:, 0])
+        off = np.abs(planned[:, i] - expected)
+        rounded = schedule.tunes_mpc and name in HORIZONS
+        differs = off > (0.5 + 1e-9 if rounded else 1e-9 * np.abs(expected))  # at .5 rounding may go either way
+        k = int(np.argmax(differs))
+        value = f"{float(planned[k, i])!r} at {SchedulingVariables(*rows[k].tolist())}"
+        evidence = f"it is {value}, where its own function gives {float(expected[k])!r}"
+        contract.require(not differs.any(), f"entry {name} must be that of its function", evidence)

@@ -1,14 +1,12 @@
-"""A whole swarm on one operating point inside one compiled call: evaluate, learn, move; the particles are the slots."""
+"""The cost of tunings at one operating point, in one compiled call: the tunings are the slots of a batch of runs."""
 
 from __future__ import annotations
 
 import math
 
-from ..kernel import Place, exported, int64, int_vector, matrix, record, several, vector
+from ..kernel import Place, exported, int64, int_vector, matrix, record, vector
 from ..simulation.run import RunRecord, begin, roll_on
 from ..simulation.world import RUNNING, STOPPED
-from .swarm import PROGRESS, Particles, decode, learn, move
-from .swarm import begin as begin_swarm
 
 Trial = record("Trial", (("run", RunRecord), ("noise", int_vector)))
 """What a tuning is tried on: a batch of runs, whose slots are the most at a time, and the noise seeds over which a cost
@@ -16,16 +14,6 @@ is the mean."""
 
 TuningCosts = record("TuningCosts", (("tunings", matrix), ("cost_limits", vector), ("costs", vector)))
 """Tunings (n, entries), the cost (n,) below which each must come out, and its cost (n,), which is written."""
-
-SearchRecord = record(
-    "SearchRecord",
-    (
-        ("seed", int64), ("stream", int64), ("settings", vector), ("space", matrix), ("swarm", Particles),
-        ("tuning_costs", TuningCosts), ("best", vector),
-    ),
-)  # fmt: skip
-"""A swarm: seed and stream of its random numbers, settings and space (see `swarm`), particles, scratch for all of them,
-and the best cost after each generation (generations,), which is written."""
 
 
 @exported(int64(int64, int64, TuningCosts, Place(Trial)), name="evaluate_tunings")
@@ -62,26 +50,3 @@ def evaluate(first, slots, candidates, trial):
     for i in range(slots):
         costs[i] /= count
     return steps
-
-
-@exported(several(int64, int64)(Place(SearchRecord), Place(Trial)))
-def tune(search, trial):
-    """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
-
-    On return `search.swarm.leader` is the best position, and the last entry of `search.best` its cost. A particle's run
-    is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
-    """
-    steps = 0
-    swarm, candidates, slots = search.swarm, search.tuning_costs, trial.run.result.size
-    candidates = TuningCosts(candidates.tunings, swarm.best_costs, candidates.costs)
-    begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
-    generations, count = search.best.size, len(swarm.x)
-    for g in range(generations):
-        decode(count, search.space, swarm.x, candidates.tunings)
-        for first in range(0, count, slots):
-            steps += evaluate(first, min(slots, count - first), candidates, trial)
-        learn(candidates.costs, swarm)
-        search.best[g] = swarm.progress[PROGRESS.leader_cost]
-        if g < generations - 1:
-            move(g, search.seed, search.stream, search.settings, search.space, swarm)
-    return generations * count, steps
