@@ -229,7 +229,7 @@ def _speed_answer(run: Shown) -> str:
 
 def _failure(run: Shown) -> dict[str, str]:
     """Return name, time and reason of a failed run."""
-    where = "" if run.drive is None else f", at s = {words.number(float(run.drive.station[-1]), 4)} m"
+    where = "" if run.drive is None else f", at s = {words.number(float(run.drive.run.road['station'][-1]), 4)} m"
     name = f"{words.title_of(run.trajectory.name_of('scenario'))}, {run.label}"
     return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
 
