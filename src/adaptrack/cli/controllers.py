@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import show
 from adaptrack.cli.options import option, option_group
-
-if TYPE_CHECKING:
-    from adaptrack.analysis.certify import Certificate
 
 INFORMED_NAME, STANDARD_NAME, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
 CERTIFIED_LEVELS = (9, 3)
@@ -231,22 +228,17 @@ def _judge(
     InvalidInput
         When the loop is unstable when driving straight and `allowed` is False.
     """
-    certificate = _certificate(tuning, *loop)
-    clause += f": certificate over the domain of {loop[2].name!r}: {certificate.verdict}"
-    if not certificate.passed and not allowed:
-        raise InvalidInput(f"{clause} To drive it anyway, use --allow-failed.")
-    show.say(f"Warning, {clause}", aside=True)
-
-
-def _certificate(
-    tuning: at.Schedule | at.Tuning, mpc: at.MPC, plant: Any, car: at.Vehicle, world: at.Profile
-) -> Certificate:
     from adaptrack.analysis.certify import certify
     from adaptrack.analysis.stability import linear_twin
 
+    mpc, plant, car, world = loop
     domain = {"speed": car.domain.speed, "friction": car.domain.friction}
     with show.progress("certify for this car") as advance:
-        return certify(
+        certificate = certify(
             tuning, linear_twin(plant, car, car.domain), mpc, world.without_sample_ages, domain=domain,
             levels=CERTIFIED_LEVELS, progress=advance,
         )  # fmt: skip
+    clause += f": certificate over the domain of {car.name!r}: {certificate.verdict}"
+    if not certificate.passed and not allowed:
+        raise InvalidInput(f"{clause} To drive it anyway, use --allow-failed.")
+    show.say(f"Warning, {clause}", aside=True)

@@ -37,12 +37,9 @@ class ExportedController:
     learn: bool = flag("Let the informed controller learn; default if the car file has no lag and dead time.")
     learned: Path | None = option("FILE", "Like --learn, starting from this TOML file.")
 
-    def checked_road(self, car: at.Vehicle, world: at.Profile) -> roads.CheckedRoad:
-        """Load and check the road and its speed plan."""
-        return self._road_options.look(self.road, car, world)
-
     @property
-    def _road_options(self) -> roads.RoadOptions:
+    def route(self) -> roads.RoadOptions:
+        """The options of the road."""
         return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed, assumed_friction=self.assumed_friction)
 
     def make_speed_control(self, car: at.Vehicle) -> at.SpeedControl | None:
@@ -53,7 +50,7 @@ class ExportedController:
         InvalidInput
             When a friction is assumed without it.
         """
-        friction = self._road_options.assumed_interval
+        friction = self.route.assumed_interval
         if self.speed_control:
             return at.SpeedControl(car) if friction is None else at.SpeedControl(car, friction=friction)
         if friction is not None:
@@ -124,7 +121,7 @@ def export_c(
     speed = exported.make_speed_control(car)
     refuse(controller)
     options.make_folder(out)
-    checked = exported.checked_road(car, world)
+    checked = exported.route.look(exported.road, car, world)
     with show.progress("record a drive"):
         files = at.export_c(
             controller, out, road=checked.road, plan=checked.plan, plant=plant, profile=world, room=room, speed=speed
@@ -183,7 +180,7 @@ def export_fmu(
     car, plant = exported.car.load()
     world = at.load_profile(exported.profile)
     controller = exported.make(car, world)
-    checked = exported.checked_road(car, world)
+    checked = exported.route.look(exported.road, car, world)
     route = at.RoadDrive(checked.road, checked.plan)
     speed = exported.make_speed_control(car)
     driver = speed or (None if prescribed_speed else at.Driver())

@@ -14,14 +14,6 @@ Descriptions = dict[str, str]
 """Descriptions by name."""
 
 
-def _cars() -> Descriptions:
-    return {name: at.load_vehicle(name).description for name in at.list_vehicles()}
-
-
-def _tyres() -> Descriptions:
-    return {name: at.load_tyre(name).description for name in at.list_tyres()}
-
-
 def _roads() -> Descriptions:
     from adaptrack.road import ROAD_KINDS
 
@@ -33,10 +25,6 @@ def _scenarios() -> Descriptions:
 
     texts = at.list_scenarios().items()
     return {name: f"{text} Options: {', '.join(scenario_options(name)) or 'none'}." for name, text in texts}
-
-
-def _profiles() -> Descriptions:
-    return {name: at.load_profile(name).description for name in at.list_profiles()}
 
 
 def _controllers() -> Descriptions:
@@ -67,11 +55,14 @@ def _comparisons() -> Descriptions:
 
 
 COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
-    "cars": (_cars, "car"),
-    "tyres": (_tyres, "drive country --tyre"),
+    "cars": (lambda: {name: at.load_vehicle(name).description for name in at.list_vehicles()}, "car"),
+    "tyres": (lambda: {name: at.load_tyre(name).description for name in at.list_tyres()}, "drive country --tyre"),
     "roads": (_roads, "drive"),
     "scenarios": (_scenarios, "drive"),
-    "profiles": (_profiles, "drive country --profile"),
+    "profiles": (
+        lambda: {name: at.load_profile(name).description for name in at.list_profiles()},
+        "drive country --profile",
+    ),
     "controllers": (_controllers, "drive country --controller"),
     "drivers": (_drivers, "compare --driver"),
     "schedules": (_schedules, "certify"),

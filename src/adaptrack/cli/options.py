@@ -113,8 +113,7 @@ def _parameter(name: str, hint: Any, default: Any) -> inspect.Parameter:
 def _read(owner: Any, values: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments of a command or group from the parsed values."""
     return {
-        name: hint(**_read(hint, values)) if _is_group(hint) else values[name]
-        for name, hint, _ in _declarations(owner)
+        name: hint(**_read(hint, values)) if _is_group(hint) else values[name] for name, hint, _ in _declarations(owner)
     }
 
 

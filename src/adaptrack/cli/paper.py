@@ -215,7 +215,12 @@ def adapt(
     note_progress(f"Finished parts and schedules are in {out}: run the command again to continue.")
     with show.progress("adapt") as advance:
         schedules = learn(config, out, workers=workers, progress=advance)
-    rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]
+    histories = {name: schedule.provenance.get("history") for name, schedule in schedules.items()}
+    rows = [
+        {"contender": name, **min(history, key=lambda entry: entry["score"])}
+        for name, history in histories.items()
+        if history is not None
+    ]
     if as_json:
         show.say_json({"schedulers": str(out / "schedulers"), "rows": rows})
         return
@@ -223,11 +228,6 @@ def adapt(
     show.say(f"Schedules: {out / 'schedulers'}")
     line = command("paper", "evaluate", out, "--campaign", campaign, "--profile", profile)
     say_next("to evaluate them on new runs", line)
-
-
-def _best_round(contender: str, schedule: at.Schedule) -> dict[str, object]:
-    best = min(schedule.provenance["history"], key=lambda entry: entry["score"])
-    return {"contender": contender, **best}
 
 
 # -- evaluate ---------------------------------------------------------------------------------------------------------
