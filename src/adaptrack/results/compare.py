@@ -75,16 +75,6 @@ LEFT_OUT_COLUMNS = (
     Column("where", "Profile: cars"),
     Column("why", "Reason"),
 )
-_NOTE = (
-    "Bold: best value of the column. Ratio: value divided by that of the reference, averaged over noise seeds, then "
-    "geometric mean over cars and roads. Intervals: bootstrap over cars and roads; with one car and one road, over "
-    "noise seeds. A failed run counts as an error of 5 m, and as 25 m² in the cost J = mean e² + weight of the "
-    "profile × mean (change of command)². Rank: 1 + number of controllers that are better with an interval of the "
-    "ratio below 1; equal ranks are not ordered. RMS error, 95 % error (median of the runs) and corner error are "
-    "measured until the end of a run or its failure. RMS steering rate: rate of the command. Lateral acceleration: "
-    "largest value of a run by UN R79, 95th percentile of the runs. Entry speed: highest clean entry speed into the "
-    "obstacle avoidance, mean over the cars."
-)
 
 
 def compare_result(compared: Compared) -> Result:
@@ -105,7 +95,7 @@ def compare_result(compared: Compared) -> Result:
         ],
         pictures=[_ratios(last, rows[last], comparisons[last].reference), _work(rows), *_entry_speeds(compared)],
         values={
-            "profiles": list(rows), "reference": comparisons[last].reference, "task": task,
+            "profiles": list(rows), "reference": comparisons[last].reference, "task": task, "colours": COLOURS,
             "contenders": [(name, about_contender(name).words) for name in task.contenders],
         },
     )  # fmt: skip
@@ -155,15 +145,8 @@ def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
     ]
     columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
     failed = select_entries(table_rows, ["failures"], lambda row: row["failures"] > 0)
-    return ResultTable(
-        profile,
-        f"Controllers in profile {profile}",
-        columns,
-        table_rows,
-        _NOTE,
-        best=best_cells(table_rows, BEST_VALUES),
-        alert=failed,
-    )
+    best = best_cells(table_rows, BEST_VALUES)
+    return ResultTable(profile, f"Controllers in profile {profile}", columns, table_rows, best=best, alert=failed)
 
 
 def best_cells(rows: Sequence[Row], best_values: Mapping[str, Callable[..., Any]]) -> frozenset[tuple[int, str]]:
@@ -254,11 +237,8 @@ def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
 
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
-    caption = (
-        "RMS error over the RMS rate of the steering command, for tuned controllers; lower left is better. " + COLOURS
-    )
     panels = [_work_panel(profile, ranking) for profile, ranking in rows.items()]
-    return Picture("work", caption, panels, (), "work.png", 2, 3.0)
+    return Picture("work", "", panels, (), "work.png", 2, 3.0)
 
 
 def _work_panel(profile: str, ranking: Sequence[Row]) -> Panel:
@@ -300,12 +280,8 @@ def _entry_speeds(compared: Compared) -> list[Picture]:
         for profile, table in compared.profile_comparisons.items()
         if speeds[profile]
     ]
-    caption = (
-        "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, for the worst of three noise seeds. Dot: "
-        f"one car, at 0 if no speed was clean. Bar: mean over the cars. {COLOURS}"
-    )
     height = 0.75 + _ROW * max(map(len, speeds.values()), default=0)
-    return [Picture("entry", caption, panels, (), "entry.png", 1, height, (5.2, height))] if panels else []
+    return [Picture("entry", "", panels, (), "entry.png", 1, height, (5.2, height))] if panels else []
 
 
 def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[str, float]]) -> Panel:

@@ -257,9 +257,9 @@ def _pictures(
     key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):
-        figure = "6" if len(scenarios) > 1 else _paper_figure(first, "speed")
+        caption = _cite(SPEED_CAPTION, "6" if len(scenarios) > 1 else _paper_figure(first, "speed"))
         speeds = {words.title_of(name): runs for name, runs in groups.items()}
-        pictures.append(run_pictures.speed_picture(speeds, line_styles, _cite(SPEED_CAPTION, figure)))
+        pictures.append(run_pictures.speed_picture(speeds, line_styles, caption))
     for name, runs in groups.items():
         pictures += _signal_pictures(runs, line_styles, stems[name])
     return pictures
@@ -335,13 +335,7 @@ TRACKING_COLUMNS = (
     Column("rms_error", "RMS error", "m", 3),
     Column("p95_error", "95 % error", "m", 3, "95th percentile of the error"),
     Column("max_abs_error", "Max. error", "m", 3),
-    Column(
-        "max_corner_error",
-        "Max. corner error",
-        "m",
-        3,
-        "largest distance of a corner from the path, minus half the width",
-    ),
+    Column("max_corner_error", "Max. corner error", "m", 3, _CORNER_ERROR),
     Column("in_lane", "In lane", "% of time", "percent"),
     Column("outcome", "Failed"),
 )
@@ -470,15 +464,8 @@ def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
 
 def _with_values(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
     """Return the columns without optional columns that have no value."""
-    return [
-        column
-        for column in columns
-        if column.name not in OPTIONAL_COLUMNS or any(_exists(row[column.name]) for row in rows)
-    ]
-
-
-def _exists(value: Any) -> bool:
-    return value is not None and not (isinstance(value, float) and math.isnan(value))
+    present = {key for row in rows for key, value in row.items() if value is not None and value == value}  # not NaN
+    return [column for column in columns if column.name not in OPTIONAL_COLUMNS or column.name in present]
 
 
 def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
