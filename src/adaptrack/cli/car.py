@@ -265,7 +265,7 @@ def derived(vehicle: at.Vehicle, fit: TyreFit | None = None) -> list[dict[str, A
         stable = speed < vehicle.critical_speed
         gain = f"{vehicle.steady_state_yaw_gain(speed):.2f}" if stable else "unstable"
         rows.append((f"yaw gain at {speed:.3g} m/s", gain, "1/s"))
-    tyre = _tyre(vehicle) if fit is None else fit.tyre
+    tyre = at.load_tyre(vehicle.tyre) if fit is None else fit.tyre
     front, rear = vehicle.stiffness_factors(tyre)
     rows.append((f"stiffness of tyre {tyre.name}/model", f"{front:.2f}, {rear:.2f}", "-"))
     return [dict(zip(("what", "value", "unit"), row, strict=True)) for row in rows]
@@ -273,7 +273,3 @@ def derived(vehicle: at.Vehicle, fit: TyreFit | None = None) -> list[dict[str, A
 
 def _speed(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "none"
-
-
-def _tyre(vehicle: at.Vehicle) -> Any:
-    return at.load_tyre(vehicle.tyre)

@@ -22,16 +22,6 @@ if TYPE_CHECKING:
 
 UNSTABLE = 1
 """Exit code if the loop is unstable when driving straight, or if no tuning is stable at some speed and friction."""
-BEST_COLUMNS = (
-    Column("held", "stable"),
-    Column("speed", "speed", "m/s", 3),
-    Column("friction", "friction", "", 3),
-    Column("Np", "Np", "", 3),
-    Column("Nc", "Nc", "", 3),
-    Column("ratio", "R/Q", "m²/rad²", 3),
-    Column("modulus_margin", "modulus\nmargin", "", 3),
-)
-"""Columns of the table of the best tuning at each speed and friction."""
 
 
 @option_group
@@ -162,10 +152,12 @@ def _print_feasible(plant: Any, mpc: at.MPC, loop: CertifiedLoop, as_json: bool)
     if as_json:
         show.say_json(result.summary())
     else:
-        from adaptrack.results.certificate import with_ratio
+        from adaptrack.results.certificate import CERTIFICATE_COLUMNS, with_ratio
 
+        names = ("speed", "friction", "Np", "Nc", "ratio", "modulus_margin")
+        columns = [Column("held", "stable"), *(column for column in CERTIFICATE_COLUMNS if column.name in names)]
         title = "Tuning with the largest modulus margin at each speed and friction"
-        show.table(title, BEST_COLUMNS, with_ratio(result.summary()["rows"]))
+        show.table(title, columns, with_ratio(result.summary()["rows"]))
         if mpc.belief is not None:
             show.say(f"Steering model of the controller: {mpc.belief_at_first}.")
     if result.passed and not as_json:

@@ -115,7 +115,11 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, at.Co
     registered = [other for other in at.list_controllers() if other not in moves]
     if name in registered:
         optional = {key: getattr(settings, key) for key in ("period", "preview", "computation")}
-        arguments = _informed_arguments(settings, chosen) if name == INFORMED_NAME else _no_schedule(name, settings)
+        arguments = _informed_arguments(settings, chosen) if name == INFORMED_NAME else {}
+        if settings.schedule is not None and name != INFORMED_NAME:
+            raise InvalidInput(
+                f"--scheduler {settings.label}: schedules tune an MPC; leave the option out for controller {name!r}."
+            )
         label = settings.label if settings.schedule is not None else name
         return label, at.get_controller(name, settings.car, profile=settings.profile, optional=optional, **arguments)
     if name not in moves:
@@ -145,15 +149,6 @@ def _informed_arguments(settings: ControllerSettings, moves: at.Moves) -> dict[s
     if settings.tuning:
         arguments["tuning"] = settings.tuned(informed_tuning(settings.profile, settings.period))
     return arguments
-
-
-def _no_schedule(name: str, settings: ControllerSettings) -> dict[str, Any]:
-    """Return no arguments; raise InvalidInput if a schedule is given."""
-    if settings.schedule is not None:
-        raise InvalidInput(
-            f"--scheduler {settings.label}: schedules tune an MPC; leave the option out for controller {name!r}."
-        )
-    return {}
 
 
 def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, at.Controller]:

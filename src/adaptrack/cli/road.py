@@ -85,11 +85,6 @@ class RoadOptions:
         return stops
 
     @property
-    def assumed(self) -> float | None:
-        """Friction for which the speed is planned, the lower end of an interval; None: that of the road."""
-        return None if self.assumed_interval is None else self.assumed_interval[0]
-
-    @property
     def assumed_interval(self) -> tuple[float, float] | None:
         """Low and high end of the assumed friction; None: that of the road.
 
@@ -150,7 +145,8 @@ class RoadOptions:
         elif self.speed_column is not None and self.lateral_acceleration is None:
             plan = speed_limit_plan(road)
         else:
-            assumed = road if self.assumed is None else road.replace(friction=self.assumed)
+            friction = self.assumed_interval
+            assumed = road if friction is None else road.replace(friction=friction[0])
             plan = at.plan_speed(
                 assumed, car, comfort, start=self.start, stops=self.stops, holds=self._holds(car, profile, holdable)
             )

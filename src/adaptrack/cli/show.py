@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 from adaptrack.base.presentation import printable as escaped
-from adaptrack.base.progress import TrackedWork, reported, shown_progress
+from adaptrack.base.progress import TrackedWork, Update, reported, shown_progress
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable, to_json
 from adaptrack.results.console import print_result, print_table, say, say_failed
@@ -83,11 +83,7 @@ def say_backups(files: Sequence[Path], aside: bool = False) -> None:
 
 
 # -- progress ---------------------------------------------------------------------------------------------------------
-Show = Callable[[str, int, int], None]
-"""Function that shows progress: show(label, completed steps, all steps)."""
-
-
-def progress(label: str, total: int = 1) -> AbstractContextManager[Show]:
+def progress(label: str, total: int = 1) -> AbstractContextManager[Update]:
     """Show progress of a `with` block on standard error; the block gets the function that updates it.
 
     A terminal shows a bar, other outputs a line at intervals. Nested progress is not shown. label, total: see
@@ -97,7 +93,7 @@ def progress(label: str, total: int = 1) -> AbstractContextManager[Show]:
 
 
 @contextmanager
-def _bar(work: TrackedWork) -> Iterator[Show]:
+def _bar(work: TrackedWork) -> Iterator[Update]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
@@ -121,7 +117,7 @@ def _bar(work: TrackedWork) -> Iterator[Show]:
         yield update
 
 
-def _lines(work: TrackedWork) -> AbstractContextManager[Show]:
+def _lines(work: TrackedWork) -> AbstractContextManager[Update]:
     return reported(work, _print_line)
 
 

@@ -253,13 +253,11 @@ def _tunings(certificate: Certificate) -> Picture:
         middle, span = (low + high) / 2.0, max(high - low, 2.0 if integer else 0.2)
         scale = marks.ColourScale(middle - span / 2.0, middle + span / 2.0, symbol, integer=integer)
         panels.append(_map(certificate, scale, cells))
-    caption = "The scheduler's tuning: median over all other scheduling variables."
     if certificate.guarded is not None:
         share = 100.0 * certificate.cells(certificate.fallback).mean(axis=2)
         panels.append(_map(certificate, marks.ColourScale(0.0, 100.0, "Fallback tuning (% of points)"), share))
-        caption = f"{caption[:-1]}, including the fallback of the guard; and share of points with the fallback."
-    return Picture("tunings", caption, panels, file="tunings.png", columns=len(panels) if len(panels) < 4 else 2,
-                   row_height=2.0)  # fmt: skip
+    columns = len(panels) if len(panels) < 4 else 2
+    return Picture("tunings", "", panels, file="tunings.png", columns=columns, row_height=2.0)
 
 
 def _narrow_scale(scale: marks.ColourScale, values: Array) -> marks.ColourScale:

@@ -232,8 +232,7 @@ def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
     ]  # fmt: skip
     label = f"RMS error / RMS error of {reference}"
     caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
-    panel, size = marks.dots_panel(dots, data_text(label), label, level=1.0)
-    return Picture("verdict", caption + marks.caption_notes(dots), [panel], (), "ratios.png", 1, size[1], size)
+    return marks.dots_picture("verdict", caption, dots, data_text(label), label, 1.0, "ratios.png")
 
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
@@ -381,25 +380,23 @@ _ADAPTIVE, _CONSTANT, _HINDSIGHT = marks.SERIES[0], marks.SERIES[1], marks.MUTED
 
 
 def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Picture:
-    """Each contender's cost over the reference's, with its 95 % interval; called: names contenders as tables do."""
-    dots = _cost_dots(comparison, called)
-    label = f"Cost / {called(comparison.reference)}"
-    panel, size = marks.dots_panel(dots, data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
-    caption = (
-        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
-        f"hindsight.{marks.caption_notes(dots)}"
-    )
-    return Picture("verdict", caption, [panel], size=size)
+    """Each contender's cost over the reference's, the cheapest first; called: names contenders as tables do.
 
-
-def _cost_dots(comparison: Comparison, called: Callable[[str], str]) -> list[marks.Dot]:
-    """A dot for each contender, the cheapest first; the reference only if there is no other."""
+    The reference itself is drawn only if there is no other contender.
+    """
     rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
-    return [
+    dots = [
         marks.Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],
             _role_colour(comparison, row["contender"]), row["failures"] > 0)
         for row in rows if row["contender"] != comparison.reference
     ] or [marks.Dot(called(comparison.reference), 1.0)]  # fmt: skip
+    label = f"Cost / {called(comparison.reference)}"
+    caption = (
+        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
+        "hindsight."
+    )
+    words = f"{label}, geometric mean and 95 % interval"
+    return marks.dots_picture("verdict", caption, dots, data_text(label), words, 1.0)
 
 
 def _role_colour(comparison: Comparison, contender: str) -> str:

@@ -76,7 +76,7 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule]) -> Result
         ],
         values={
             "runs": counted(_runs(comparison), NOUNS[view]), "reference": contender_label(comparison.reference),
-            "views": [name for name in views if views[name]],
+            "views": [name for name in views if views[name]], "ceiling": f"{CEILING:g}",
             "failed_cost": f"{portable.square(comparison.failure.distance):g}",
         },
     )  # fmt: skip
@@ -175,11 +175,7 @@ def regret_maps(comparison: Comparison) -> Picture:
         )
         for (name, quantity), cells in maps.items()
     ]  # fmt: skip
-    caption = (
-        "Regret over the domain: geometric mean of the operating points in a cell. All maps share one logarithmic "
-        f"scale of colours, which ends at {CEILING:g}."
-    )
-    return Picture("maps", caption, panels, file="regret-map.png", row_height=1.75)
+    return Picture("maps", "", panels, file="regret-map.png", row_height=1.75)
 
 
 def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
@@ -196,12 +192,8 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
                 partial(_draw_map, cells=cells, label=f"{label} ({input_unit})", scale=scale, image=True),
                 f"{plain(symbol)} over speed and {label.lower()}: {span(cells[2])}.",
             ))  # fmt: skip
-    caption = (
-        "The learned tuning over speed and the reference ahead, with the other inputs in the middle of their domain "
-        "and without the guard. Panels of the same output share their colours."
-    )
     columns = len(schedules) if len(schedules) > 1 else len(OUTPUT_LABELS)
-    return Picture("surfaces", caption, panels, file="surfaces.png", columns=columns, row_height=2.1)
+    return Picture("surfaces", "", panels, file="surfaces.png", columns=columns, row_height=2.1)
 
 
 def _draw_map(

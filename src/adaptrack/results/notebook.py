@@ -229,11 +229,10 @@ def comparison_figure(comparison: Comparison) -> Figure:
 @html_of.register
 def comparison_html(comparison: Comparison) -> str:
     """Contenders, the cheapest first: cost over the reference's with its interval, and failed runs."""
-    title = repr(comparison)[1:-1]
-    rows = {
-        row["contender"]: f"{words.ratio_with_interval(row)}; failed in {words.number(row['failures'])}"
-        for row in sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
-    }
+    title, rows = repr(comparison)[1:-1], {}
+    for row in sorted(comparison.rows(), key=lambda row: row["regret_geomean"]):
+        low, mean, high = (words.number(row[f"regret_{name}"]) for name in ("low", "geomean", "high"))
+        rows[row["contender"]] = f"{mean} ({low} to {high}); failed in {words.number(row['failures'])}"
     return html(title, rows, comparison_figure(comparison), title)
 
 

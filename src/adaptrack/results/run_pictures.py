@@ -462,11 +462,8 @@ def tracking_picture(runs: Runs, strokes: Strokes | None = None, name: str = "tr
 def speed_control_picture(runs: Runs, strokes: Strokes | None = None, name: str = "speed-control") -> Picture:
     """`speed_control_panels` over the station along a road."""
     lines = prepare_runs(runs, strokes)
-    caption = (
-        "Speed control: speeds, longitudinal acceleration, used grip, assumed friction, and what limits the speed."
-    )
     key = [_REFERENCE, *_key(lines)]
-    return Picture(name, caption, speed_control_panels(lines), key, f"{name}.png", 1, row_height=1.7)
+    return Picture(name, "", speed_control_panels(lines), key, f"{name}.png", 1, row_height=1.7)
 
 
 def conditions_picture(
@@ -539,9 +536,8 @@ def learned_picture(runs: Runs, strokes: Strokes | None = None, name: str = "lea
         curves = [(line, learned[quantity]) for line, learned in learners]
         ends = [f"{line.label}: {learnt.mean[-1]:.3g} {unit} at the end" for line, learnt in curves]
         panels.append(Panel(title, partial(_draw_learned, curves=curves, label=label), "; ".join(ends)))
-    caption = "Quantities learned while driving. Band: ± one standard deviation. Dashed: true value in the simulation."
     key = [*_key(line for line, _ in learners), ("True value", marks.REFERENCE_STROKE)]
-    return Picture(name, caption, panels, key, f"{name}.png", row_height=1.9)
+    return Picture(name, "", panels, key, f"{name}.png", row_height=1.9)
 
 
 def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: str) -> None:
