@@ -173,18 +173,21 @@ def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
 def _labelled(runs: Sequence[Run]) -> list[Shown]:
     """Prepare the runs of one scenario, with distinct labels."""
     labels = [words.legible(run.label) or words.controller_name(run.trajectory.name_of("controller")) for run in runs]
-    return [
-        _prepare_run(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
-        for i, (label, run) in enumerate(zip(labels, runs, strict=True))
+    numbered = [
+        f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label
+        for i, label in enumerate(labels)
     ]
+    return list(map(_prepare_run, numbered, runs))
 
 
 def _prepare_run(label: str, run: Run) -> Shown:
     trajectory = run.trajectory if run.road is None else on_road(run.trajectory, run.road)
     outline = None if run.car is DEFAULT_DRAWN_CAR else run.car.outline
     metrics = run.metrics or compute_metrics(trajectory, outline=outline)
-    drive = None if run.road is None else DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
-    if run.road is None or run.plan is None:
+    if run.road is None:
+        return Shown(label, trajectory, metrics)
+    drive = DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
+    if run.plan is None:
         return Shown(label, trajectory, metrics, drive)
     following = speed_measures(trajectory, run.road, run.plan)
     return Shown(label, trajectory, metrics, drive, following, measure_stops(trajectory, run.plan))

@@ -215,11 +215,16 @@ def shared_scale(values: Sequence[Array], integer: bool) -> ColourScale:
 def _surface(schedule: Schedule) -> Array:
     """(nodes of the second input, nodes of speed, 3) outputs, the other inputs in the middle of their domain."""
     columns, rows = SURFACE_NODES
-    places = [SchedulingVariables._fields.index(name) for name in schedule.inputs]
-    variables = np.zeros((rows, columns, len(SchedulingVariables._fields)))
-    variables[..., places] = schedule.domain.mean(axis=1)
+    points = np.tile(schedule.domain.mean(axis=1), (rows, columns, 1))
     (slowest, fastest), (low, high) = schedule.domain[:2].tolist()
-    variables[..., places[0]] = np.linspace(slowest, fastest, columns)
-    variables[..., places[1]] = np.linspace(low, high, rows)[:, np.newaxis]
-    Np, Nc, Q, R = schedule.batch(variables.reshape(-1, variables.shape[-1])).T
+    points[..., 0] = np.linspace(slowest, fastest, columns)
+    points[..., 1] = np.linspace(low, high, rows)[:, np.newaxis]
+    Np, Nc, Q, R = tune_at(schedule, points.reshape(rows * columns, -1)).T
     return np.column_stack([Np, Nc, portable.log10(R / Q)]).reshape(rows, columns, 3)
+
+
+def tune_at(schedule: Schedule, points: Array) -> Array:
+    """The tuning of a schedule at values of its inputs (n, inputs), a row each."""
+    variables = np.zeros((len(points), len(SchedulingVariables._fields)))
+    variables[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = points
+    return schedule.batch(variables)

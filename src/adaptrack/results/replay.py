@@ -11,7 +11,6 @@ import json
 from importlib.resources import files
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
@@ -22,6 +21,7 @@ from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import record
 from adaptrack.results.marks import deviation_colours
+from adaptrack.results.page import make_environment
 from adaptrack.road import Road
 
 PERIOD = 0.05
@@ -59,16 +59,13 @@ def replay(drives: record.Drives) -> Markup:
     InvalidInput
         When a signal jumps by more than 2^31 of its units, 2,000 km for positions.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("adaptrack.results"), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    template = environment.get_template("replay.html.j2")
     data = replay_data(drives)
     # JSON inside an element: "<" could end it, an escape cannot
     json_text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return Markup(
-        template.render(
+        make_environment()
+        .get_template("replay.html.j2")
+        .render(
             data=Markup(json_text),
             script=Markup("\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])),
             style=Markup(_shared(STYLE)),
@@ -77,7 +74,7 @@ def replay(drives: record.Drives) -> Markup:
             top=f"{data['top']:g}",
             beyond=max(drive.max_offset for drive in drives.values()) > data["top"],
             predicted=any(car["predicted"] for car in data["cars"]),
-            road=printable(data["road"]["name"]),
+            road=data["road"]["name"],
         )
     )
 
