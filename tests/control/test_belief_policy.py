@@ -16,7 +16,7 @@ from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import KnownWithin, Steering, SteeringActuator, load_vehicle
 from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning
-from adaptrack.cli.export import ExportedController, ExportOptions
+from adaptrack.cli.export import ExportedController
 from adaptrack.cli.options import CarAndPlant
 from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller, published_mpc
 from adaptrack.control.controllers.belief import ASSUMED_SOURCE, TO_LEARN_SOURCE
@@ -101,10 +101,10 @@ def driving_controller(**drive):
     return make_controller("informed", ControllerSettings(CAR, world, world.period, True, learning=learning))[1]
 
 
-def exported_controller(car, **options):
-    """The controller of `export c` with these options."""
-    choice = ExportOptions(out=Path(), exported=ExportedController(car=CarAndPlant()), **options)
-    return choice.exported.make(car, load_profile(choice.exported.profile), choice.computation)
+def exported_controller(car, computation=0.0):
+    """The controller of `export c` with a computation time (s)."""
+    exported = ExportedController(car=CarAndPlant())
+    return exported.make(car, load_profile(exported.profile), computation)
 
 
 STEERING = Steering(lag=0.2, dead_time=0.1)

@@ -15,7 +15,7 @@ from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.results.notebook import run_figure
-from adaptrack.results.record import DrawnCar, DriveRecord
+from adaptrack.results.record import SIGNALS, DrawnCar, DriveRecord
 from adaptrack.results.record import on_road as place_on_road
 from adaptrack.road import generate_road
 
@@ -44,21 +44,21 @@ def lap():
 def test_a_run_of_two_laps_is_projected_lap_after_lap(lap):
     run = driven(lap, laps=2.0)
     record = DriveRecord.from_trajectory(run, lap, load_vehicle("paper"))
-    assert record.station == pytest.approx(10.0 * run.t, abs=1e-6)
+    assert record.run.road["station"] == pytest.approx(10.0 * run.t, abs=1e-6)
     assert record.offset == pytest.approx(np.full(len(run), 0.2), abs=1e-6)
     assert np.abs(place_on_road(run, lap).road["heading_error"]).max() < 1e-6
-    assert record.failed == ""
+    assert record.failure is None
     assert record.shape == DrawnCar.of(load_vehicle("paper"))
-    assert record.planned_speed == pytest.approx(10.0)
+    assert SIGNALS["planned_speed"](record.run) == pytest.approx(10.0)
 
 
 def test_a_run_that_ends_in_nan_is_cut_there_and_says_why_it_failed(lap):
     x = driven(lap).X.copy()
     x[40:] = np.nan
     record = DriveRecord.from_trajectory(driven(lap, X=x, failed="off-road", failed_at=3.9), lap)
-    assert len(record) == 40
-    assert record.failed.startswith("left the road")
-    assert record.failed_at == pytest.approx(3.9)
+    assert len(record.run) == 40
+    assert record.failure.clause.startswith("left the road")
+    assert record.failure.time == pytest.approx(3.9)
     with pytest.raises(InvalidInput, match="at least two instants"):
         DriveRecord.from_trajectory(driven(lap, X=np.full(x.size, np.nan)), lap)
 
@@ -72,7 +72,7 @@ def on_road(lap):
 
 def test_what_a_run_knows_of_its_road_is_taken_from_it(lap):
     record = DriveRecord.from_trajectory(on_road(lap), lap)
-    assert (record.station[-1], record.offset[0]) == (record.time[-1], 0.7)
+    assert (record.run.road["station"][-1], record.offset[0]) == (record.run.t[-1], 0.7)
 
 
 def test_a_run_along_a_road_is_drawn_without_its_lateral_position(lap):

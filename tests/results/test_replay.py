@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.results.drive import write_drive_page
+from adaptrack.results.record import SIGNALS
 from browsers import Chromium
 from made_drives import bend, made_run, recorded
 from pages import check_that_space_plays
@@ -82,9 +83,11 @@ def answers(request, page):
 def test_the_car_is_where_it_was_at_three_instants(answers, drives):
     for t, view in zip(INSTANTS, answers["seen"], strict=True):
         for drive, car in zip(drives, view["near"]["cars"], strict=True):
-            when = min(t, float(drive.time[-1]))
+            when = min(t, float(drive.run.t[-1]))
             for name in ("x", "y", "yaw", "station", "speed", "offset", "steering"):
-                assert car[name] == pytest.approx(np.interp(when, drive.time, getattr(drive, name)), abs=6e-3), name
+                assert car[name] == pytest.approx(np.interp(when, drive.run.t, SIGNALS[name](drive.run)), abs=6e-3), (
+                    name
+                )
 
 
 def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(answers):
@@ -101,7 +104,9 @@ def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(answers, drives):
     first, last = answers["whole"]
     assert first["whole"]
     ends = [np.array(state["cars"][0]["pixel"]) for state in (first, last)]
-    there = [np.array([np.interp(t, drives[0].time, v) for v in (drives[0].x, drives[0].y)]) for t in (2.0, 17.5)]
+    there = [
+        np.array([np.interp(t, drives[0].run.t, v) for v in (drives[0].run.X, drives[0].run.Y)]) for t in (2.0, 17.5)
+    ]
     assert (ends[1] - ends[0]) * [1, -1] == pytest.approx(first["scale"] * (there[1] - there[0]), abs=0.2)
     for pixel in ends:
         assert 0.0 < pixel[0] < first["width"]
@@ -114,9 +119,9 @@ def test_values_stand_beside_the_picture(answers, drives):
     assert words[0] == "2.00 s"
     assert words[1] == "20.0 m"
     assert words[3] == "10.00 m/s"
-    assert float(words[2].split()[0]) == pytest.approx(np.interp(2.0, drive.time, drive.offset), abs=1e-3)
+    assert float(words[2].split()[0]) == pytest.approx(np.interp(2.0, drive.run.t, drive.offset), abs=1e-3)
     degrees, radians = (float(text) for text in re.findall(r"−?[\d.]+", answers["seen"][1]["words"][4]))
-    assert radians == pytest.approx(np.interp(9.13, drive.time, drive.steering), abs=1e-4)
+    assert radians == pytest.approx(np.interp(9.13, drive.run.t, drive.run.steering), abs=1e-4)
     assert degrees == pytest.approx(np.degrees(radians), abs=0.01)
 
 

@@ -12,7 +12,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.results import style
 from adaptrack.results.drive import drive_result, write_drive_page
-from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, offset_scale, outline_stations
+from adaptrack.results.record import SIGNALS, DrawnCar, DriveRecord, above_picture, offset_scale, outline_stations
 from adaptrack.results.replay import REPLAY_UNITS, pack_column, replay_data, sample_indices
 from adaptrack.results.run_pictures import thin_curve, tracking_picture
 from adaptrack.results.style import print_figure
@@ -59,13 +59,14 @@ def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
     (car,) = replay_data({"informed": drive})["cars"]
     for name, unit in REPLAY_UNITS.items():
-        assert np.abs(unpacked(car["columns"][name]) - getattr(drive, name)).max() <= 0.5 * unit + 1e-9
+        assert np.abs(unpacked(car["columns"][name]) - SIGNALS[name](drive.run)).max() <= 0.5 * unit + 1e-9
     assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 
 
 def test_a_wrapped_yaw_is_replayed_without_a_turn():
     drive = made_drive()
-    turning = dataclasses.replace(drive, yaw=np.remainder(drive.yaw + 2.0 + np.pi, 2.0 * np.pi) - np.pi)
+    wrapped = np.remainder(drive.run.psi + 2.0 + np.pi, 2.0 * np.pi) - np.pi
+    turning = dataclasses.replace(drive, run=dataclasses.replace(drive.run, psi=wrapped))
     (car,) = replay_data({"informed": turning})["cars"]
     assert np.abs(np.diff(unpacked(car["columns"]["yaw"]))).max() < 0.1
 
@@ -130,7 +131,7 @@ def test_axles_lie_inside_the_drawn_body(name):
 
 
 def test_along_a_road_the_signals_are_drawn_over_the_station():
-    run = made_run(v_ref=np.full(len(made_drive()), 11.0))
+    run = made_run(v_ref=np.full(len(made_drive().run), 11.0))
     figure = print_figure(tracking_picture({"a": run.trajectory}))
     titles = [axes.get_title("left")[4:] for axes in figure.axes]
     assert titles == ["Tracking error", "Steering", "Speed", "Lateral acceleration"]
@@ -157,8 +158,10 @@ def test_the_colours_reach_just_beyond_the_largest_error_of_the_drives_that_did_
 
 def test_a_long_drive_is_thinned_and_replayed_at_20_hz():
     road = Road.from_segments([Line(length=2000.0)])
-    drive = dataclasses.replace(made_drive(road), time=0.2 * PERIOD * np.arange(len(made_drive(road))))
-    assert sample_indices(drive).size == pytest.approx(len(drive) / 5, abs=2)
+    drive = made_drive(road)
+    run = dataclasses.replace(drive.run, t=0.2 * drive.run.t, period=0.2 * PERIOD)
+    drive = dataclasses.replace(drive, run=run)
+    assert sample_indices(drive).size == pytest.approx(len(run) / 5, abs=2)
     assert len(json.dumps(replay_data({"informed": drive}))) < 20_000
     assert thin_curve(drive.offset, 100).size <= 102
 

@@ -16,9 +16,9 @@ pytestmark = pytest.mark.needs("chromium")
 def predicted_of(drive, ahead=1.0, points=8):
     """Paths that foretell where the car will be, up to so many seconds ahead."""
     paths = PredictedPaths(points=points)
-    paths._time = list(drive.time[::5][:-4])
+    paths._time = list(drive.run.t[::5][:-4])
     later = np.add.outer(np.array(paths._time), np.linspace(ahead / points, ahead, points))
-    paths._points = list(np.stack([np.interp(later, drive.time, v) for v in (drive.x, drive.y)], axis=-1))
+    paths._points = list(np.stack([np.interp(later, drive.run.t, v) for v in (drive.run.X, drive.run.Y)], axis=-1))
     return paths
 
 
@@ -28,7 +28,7 @@ def runs():
     first = made_drive(road, controller="informed", amplitude=0.5)
     return [
         made_run(road, controller="informed", amplitude=0.5, predicted=predicted_of(first)),
-        made_run(road, controller="stanley", amplitude=1.0, v_ref=np.full(len(first), 11.0)),
+        made_run(road, controller="stanley", amplitude=1.0, v_ref=np.full(len(first.run), 11.0)),
     ]
 
 
@@ -55,21 +55,21 @@ def test_one_cursor_goes_through_all_plots_and_the_road(answers, drives):
     assert cursor["t"] == 4.0
     assert cursor["shown"] == pytest.approx(9.13, abs=0.02)
     assert cursor["now"] == pytest.approx([cursor["shown"]] * 3, abs=0.006)
-    assert cursor["place"]["x"] == pytest.approx(np.interp(cursor["shown"], drive.time, drive.x), abs=5e-3)
+    assert cursor["place"]["x"] == pytest.approx(np.interp(cursor["shown"], drive.run.t, drive.run.X), abs=5e-3)
     assert cursor["words"] == f"{cursor['shown']:.2f} s"
     numbers = [[float(text.replace("−", "-").split()[0].rstrip("°")) for text in plot] for plot in cursor["texts"]]
     at = cursor["shown"]
     assert numbers[0] == pytest.approx([np.interp(at, run.time, run.offset) for run in drives], abs=2e-3)
-    assert numbers[1][:2] == pytest.approx([np.degrees(np.interp(at, drive.time, drive.steering))] * 2, abs=0.02)
+    assert numbers[1][:2] == pytest.approx([np.degrees(np.interp(at, drive.run.t, drive.run.steering))] * 2, abs=0.02)
     assert numbers[2] == pytest.approx([10.0] * 3, abs=0.02)
     assert answers["left"]["shown"] == 4.0
-    assert answers["left"]["x"] == pytest.approx(np.interp(4.0, drive.time, drive.x), abs=5e-3)
+    assert answers["left"]["x"] == pytest.approx(np.interp(4.0, drive.run.t, drive.run.X), abs=5e-3)
     assert answers["onRoad"] == pytest.approx(6.0, abs=0.11)
 
 
 def test_what_is_shown_is_told_in_words(answers, drives):
     road, error = answers["said"]
-    e = float(np.interp(5.0, drives[0].time, drives[0].offset))
+    e = float(np.interp(5.0, drives[0].run.t, drives[0].offset))
     assert f"Informed is {abs(e):.2f} m to the {'left' if e > 0 else 'right'} of its line" in road
     assert "at 10.0 m/s" in road
     low, high = (pick(drives[0].offset) for pick in (np.min, np.max))

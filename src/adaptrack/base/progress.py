@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, ParamSpec, TypeVar
 
 FIRST_PAUSE = 2.0
@@ -44,7 +44,7 @@ def reports_progress(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R
         def wrapped(*args: _P.args, **kwargs: _P.kwargs) -> _R:
             if kwargs.get("progress") is not None:
                 return function(*args, **kwargs)
-            with _reported(label) as update:
+            with shown_progress(TrackedWork(label), _show) as update:
                 kwargs["progress"] = update
                 return function(*args, **kwargs)
 
@@ -113,59 +113,58 @@ _running_work: list[TrackedWork] = []
 """Nested computations that are running, outermost first. Only the first one reports its progress."""
 
 
+Update = Callable[..., None]
+"""Function that takes the progress, see `TrackedWork.update`."""
+
+
 @contextmanager
-def registered_work(work: TrackedWork) -> Iterator[bool]:
-    """Register a running computation; yields whether it is the outermost one and must report its progress."""
+def shown_progress(
+    work: TrackedWork, show: Callable[[TrackedWork], AbstractContextManager[Update]]
+) -> Iterator[Update]:
+    """Show the progress of the `with` block, unless it is part of other work; yields the function that takes it."""
     _running_work.append(work)
     try:
-        yield _running_work[0] is work
+        with show(work) if _running_work[0] is work else nullcontext(work.update) as update:
+            yield update
     finally:
         _running_work.remove(work)
 
 
 @contextmanager
-def _reported(label: str) -> Iterator[Callable[..., None]]:
-    """Report the progress of the `with` block from a thread; yields the function that takes the progress."""
-    work, end = TrackedWork(label), threading.Event()
-    with registered_work(work) as is_outermost:
-        if not is_outermost:
-            yield work.update
-            return
-        report = _notebook_bar() if _is_notebook() else _log_report
-        thread = threading.Thread(target=_report_until, args=(end, work, report), daemon=True)
-        thread.start()
-        try:
-            yield work.update
-        finally:
-            end.set()
-            thread.join()
-
-
-def call_until(end: threading.Event, report: Callable[[], None], *, interval: float | None = None) -> bool:
-    """Call `report` at intervals until the event `end` is set; return whether it was called at all.
+def reported(
+    work: TrackedWork, report: Callable[[TrackedWork, bool], None], interval: float | None = None
+) -> Iterator[Update]:
+    """Report the progress of the `with` block from a thread; yields the function that takes the progress.
 
     Parameters
     ----------
-    end
-        Event that ends the calls.
     report
-        Function to call, first after `FIRST_PAUSE`.
+        Called with the work and whether it has ended: first after `FIRST_PAUSE`, then at intervals and at the end.
     interval
         Time between calls (s). If None, it grows from `NEXT_PAUSE` to `LONGEST_PAUSE`.
     """
-    pause, start_time, is_called = FIRST_PAUSE, time.monotonic(), False
-    while not end.wait(pause):
-        report()
-        is_called = True
-        growing = min(max(NEXT_PAUSE, 0.1 * (time.monotonic() - start_time)), LONGEST_PAUSE)
-        pause = growing if interval is None else interval
-    return is_called
+    end, start_time = threading.Event(), time.monotonic()
+
+    def report_until_end() -> None:
+        pause, is_reported = FIRST_PAUSE, False
+        while not end.wait(pause):
+            report(work, False)
+            growing = min(max(NEXT_PAUSE, 0.1 * (time.monotonic() - start_time)), LONGEST_PAUSE)
+            pause, is_reported = growing if interval is None else interval, True
+        if is_reported:
+            report(work, True)
+
+    thread = threading.Thread(target=report_until_end, daemon=True)
+    thread.start()
+    try:
+        yield work.update
+    finally:
+        end.set()
+        thread.join()
 
 
-def _report_until(end: threading.Event, work: TrackedWork, report: Callable[[TrackedWork, bool], None]) -> None:
-    """Report at intervals and, unless the computation was short, once more at its end."""
-    if call_until(end, lambda: report(work, False), interval=1.0 if _is_notebook() else None):
-        report(work, True)
+def _show(work: TrackedWork) -> AbstractContextManager[Update]:
+    return reported(work, _notebook_bar(), interval=1.0) if _is_notebook() else reported(work, _log_report)
 
 
 def _log_report(work: TrackedWork, ended: bool) -> None:

@@ -42,10 +42,9 @@ DERIVED = (Column("what", "derived quantity"), Column("value", "value"), Column(
 
 
 @option_group
-class CarOptions:
-    """Options of `adaptrack car`."""
+class NewCar:
+    """The data sheet of a new car."""
 
-    name: str | None = argument("[CAR]", "Car to show: see `list cars`, or a .toml file.")
     mass: float | None = option("KG", "Mass of a new car (kg); needs --wheelbase.")
     wheelbase: float | None = option("M", "Wheelbase of a new car (m); needs --mass.")
     load: float | None = option("KG", "Mass of people and luggage (kg): 75 for a driver, 136 with luggage.")
@@ -55,41 +54,71 @@ class CarOptions:
     lf: float | None = option("M", "Centre of gravity to front axle, if known.", hidden=True)
     stiffness_front: float | None = option("C", "Stiffness of one front tyre (N/rad), if known.", hidden=True)
     stiffness_rear: float | None = option("C", "Stiffness of one rear tyre (N/rad), if known.", hidden=True)
-    tir: Path | None = option("FILE", "Tyre property file in format MF 5.2, 6.1, 6.2 or PAC2002.")
-    tyre_table: Path | None = option(
-        "FILE", ".csv file of axle forces with columns slip_rad, force_front_N, force_rear_N."
-    )
-    out: Path | None = option("FILE", "Car file to write (.toml); a tyre file is written to the same folder.")
-    as_json: bool = json_flag()
 
-    @property
-    def known_values(self) -> dict[str, float]:
-        """Values of a new car that are given in addition to the data sheet."""
-        values = {name: getattr(self, name) for name in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
-        return {name: value for name, value in values.items() if value is not None}
+    def estimate(self, name: str) -> at.Vehicle | None:
+        """Estimate a car from its data sheet; None without any value.
+
+        Raises
+        ------
+        InvalidInput
+            When mass or wheelbase is missing.
+        """
+        known = {key: getattr(self, key) for key in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
+        known = {key: value for key, value in known.items() if value is not None}
+        if self.mass is None and self.wheelbase is None:
+            if known or self.load is not None or self.drive is not None:
+                raise InvalidInput("a new car needs --mass and --wheelbase.")
+            return None
+        if self.mass is None or self.wheelbase is None:
+            missing = "mass" if self.mass is None else "wheelbase"
+            raise InvalidInput(f"a new car needs --mass and --wheelbase: --{missing} is missing.")
+        return at.vehicle_from_data_sheet(
+            name, self.mass, self.wheelbase, load=self.load or 0.0, body_style=str(self.body_style),
+            driven_axle=None if self.drive is None else self.drive.value, **known,
+        )  # fmt: skip
 
 
 @options.grouped
-def car(arguments: CarOptions) -> None:
+def car(
+    *,
+    name: str | None = argument("[CAR]", "Car to show: see `list cars`, or a .toml file."),
+    new: NewCar,
+    tir: Path | None = option("FILE", "Tyre property file in format MF 5.2, 6.1, 6.2 or PAC2002."),
+    tyre_table: Path | None = option(
+        "FILE", ".csv file of axle forces with columns slip_rad, force_front_N, force_rear_N."
+    ),
+    out: Path | None = option("FILE", "Car file to write (.toml); a tyre file is written to the same folder."),
+    as_json: bool = json_flag(),
+) -> None:
     """Show a car, or make a car file.
 
     A new car needs --mass and --wheelbase. All other values are estimated from published measurements, and the car file
     lists them as estimated. Without a car, --tir makes only a tyre file.
     """
-    out = arguments.out
     if out is not None and out.suffix != ".toml":
         raise InvalidInput(f"--out {out}: must end in .toml.")
-    if arguments.tir is not None and arguments.tyre_table is not None:
+    if tir is not None and tyre_table is not None:
         raise InvalidInput("--tir and --tyre-table: give only one of them.")
-    vehicle = _vehicle(arguments)
-    if vehicle is None and arguments.tir is None:
+    if name is not None and new != NewCar(body_style=new.body_style):
+        raise InvalidInput(
+            f"{name} is an existing car: leave out --mass, --wheelbase and the other options of a new car."
+        )
+    vehicle = new.estimate("new-car" if out is None else out.stem) if name is None else at.load_vehicle(name)
+    if vehicle is None and tir is None:
         raise InvalidInput("no car: name a car, or give --mass and --wheelbase, or --tir.")
-    fit = _fit(arguments.tir, arguments.tyre_table, vehicle)
+    fit = _fit(tir, tyre_table, vehicle)
     options.make_place(out)
-    vehicle, written = _write(vehicle, fit, out, arguments.as_json)
-    _say(vehicle, fit, written, arguments.as_json)
-    if vehicle is not None and not arguments.as_json:
-        say_next(*_next_step(arguments, vehicle))
+    vehicle, written = _write(vehicle, fit, out, as_json)
+    _say(vehicle, fit, written, as_json)
+    if vehicle is None or as_json:
+        return
+    is_changed = name is None or tir is not None or tyre_table is not None
+    drive = command("drive", "country", "--vehicle", name if out is None else out)
+    say_next(*choose_step(
+        (out is None and is_changed, "to keep the car", repeat_command_with("--out", "my-car.toml")),
+        (vehicle.estimated, "to learn the estimated values while driving", f"{drive} --learn"),
+        (True, "to drive it", drive),
+    ))  # fmt: skip
 
 
 def _write(
@@ -108,42 +137,6 @@ def _write(
                 vehicle.to_toml(out)
                 written.append(out)
     return vehicle, written
-
-
-def _next_step(arguments: CarOptions, vehicle: at.Vehicle) -> tuple[str, str]:
-    """Suggest the next command for a car, with the reason."""
-    out, is_changed = arguments.out, arguments.tir is not None or arguments.tyre_table is not None
-    drive = command("drive", "country", "--vehicle", arguments.name if out is None else out)
-    return choose_step(
-        (out is None and (arguments.name is None or is_changed), "to keep the car",
-         repeat_command_with("--out", "my-car.toml")),
-        (vehicle.estimated, "to learn the estimated values while driving", f"{drive} --learn"),
-        (True, "to drive it", drive),
-    )  # fmt: skip
-
-
-def _vehicle(arguments: CarOptions) -> at.Vehicle | None:
-    """Load the named car, or estimate one from a data sheet; None without either."""
-    name, mass, wheelbase, load = arguments.name, arguments.mass, arguments.wheelbase, arguments.load
-    if name is not None:
-        if (mass, wheelbase, load, arguments.drive) != (None,) * 4 or arguments.known_values:
-            raise InvalidInput(
-                f"{name} is an existing car: leave out --mass, --wheelbase and the other options of a new car."
-            )
-        return at.load_vehicle(name)
-    if mass is None and wheelbase is None:
-        if arguments.known_values or load is not None or arguments.drive is not None:
-            raise InvalidInput("a new car needs --mass and --wheelbase.")
-        return None
-    if mass is None or wheelbase is None:
-        raise InvalidInput(
-            f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} is missing."
-        )
-    new = "new-car" if arguments.out is None else arguments.out.stem
-    return at.vehicle_from_data_sheet(
-        new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style),
-        driven_axle=None if arguments.drive is None else arguments.drive.value, **arguments.known_values,
-    )  # fmt: skip
 
 
 def _fit(tir: Path | None, table: Path | None, vehicle: at.Vehicle | None) -> TyreFit | None:
@@ -272,7 +265,7 @@ def derived(vehicle: at.Vehicle, fit: TyreFit | None = None) -> list[dict[str, A
         stable = speed < vehicle.critical_speed
         gain = f"{vehicle.steady_state_yaw_gain(speed):.2f}" if stable else "unstable"
         rows.append((f"yaw gain at {speed:.3g} m/s", gain, "1/s"))
-    tyre = _tyre(vehicle) if fit is None else fit.tyre
+    tyre = at.load_tyre(vehicle.tyre) if fit is None else fit.tyre
     front, rear = vehicle.stiffness_factors(tyre)
     rows.append((f"stiffness of tyre {tyre.name}/model", f"{front:.2f}, {rear:.2f}", "-"))
     return [dict(zip(("what", "value", "unit"), row, strict=True)) for row in rows]
@@ -280,7 +273,3 @@ def derived(vehicle: at.Vehicle, fit: TyreFit | None = None) -> list[dict[str, A
 
 def _speed(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "none"
-
-
-def _tyre(vehicle: at.Vehicle) -> Any:
-    return at.load_tyre(vehicle.tyre)

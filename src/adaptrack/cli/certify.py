@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,23 +22,12 @@ if TYPE_CHECKING:
 
 UNSTABLE = 1
 """Exit code if the loop is unstable when driving straight, or if no tuning is stable at some speed and friction."""
-BEST_COLUMNS = (
-    Column("held", "stable"),
-    Column("speed", "speed", "m/s", 3),
-    Column("friction", "friction", "", 3),
-    Column("Np", "Np", "", 3),
-    Column("Nc", "Nc", "", 3),
-    Column("ratio", "R/Q", "m²/rad²", 3),
-    Column("modulus_margin", "modulus\nmargin", "", 3),
-)
-"""Columns of the table of the best tuning at each speed and friction."""
 
 
 @option_group
-class CertifyOptions:
-    """Options of `adaptrack certify`."""
+class CertifiedLoop:
+    """Options for the control loop that is certified, and for its domain."""
 
-    scheduler: str | None = argument("[SCHEDULE]", "See `list schedules`, or a .json file; default: constant tuning.")
     controller: str | None = option(
         "NAME",
         "informed: MPC with steering model and state estimator; standard: published MPC. Default: informed, or the "
@@ -53,9 +41,6 @@ class CertifyOptions:
         "Also certify cars that differ from the model: lag by 0.1 s, dead time by one period, stiffness by a factor of "
         "1.6, mass by 30 %."
     )
-    feasible: bool = flag("Instead, find the best tuning at each speed and friction.")
-    out: Path | None = option("FOLDER", "Folder for the page with maps of the margins.")
-    as_json: bool = json_flag()
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
@@ -65,7 +50,14 @@ class CertifyOptions:
 
 
 @options.grouped
-def certify(arguments: CertifyOptions) -> None:
+def certify(
+    *,
+    scheduler: str | None = argument("[SCHEDULE]", "See `list schedules`, or a .json file; default: constant tuning."),
+    loop: CertifiedLoop,
+    feasible: bool = flag("Instead, find the best tuning at each speed and friction."),
+    out: Path | None = option("FOLDER", "Folder for the page with maps of the margins."),
+    as_json: bool = json_flag(),
+) -> None:
     """Compute stability and margins of the control loop.
 
     The loop is linearised at many speeds and frictions, by default over the ranges in the car file. The exit code is 1
@@ -76,41 +68,32 @@ def certify(arguments: CertifyOptions) -> None:
     """
     from adaptrack.results.certificate import certificate_result
 
-    scheduler, profile, out = arguments.scheduler, arguments.profile, arguments.out
-    car, plant = arguments.car.load()
+    car, plant = loop.car.load()
     schedule = None if scheduler is None else at.load_scheduler(scheduler)
     if isinstance(plant, at.SteppedPlant):
-        raise InvalidInput(
-            f"--plant {arguments.car.plant}: this plant has no equations that a certificate can linearise."
-        )
-    mpc = _controller(arguments.controller, car, profile, schedule)
-    mpc.warn_of(schedule, at.load_profile(profile).name, plant)
-    if arguments.feasible:
+        raise InvalidInput(f"--plant {loop.car.plant}: this plant has no equations that a certificate can linearise.")
+    mpc = _controller(loop.controller, car, loop.profile, schedule)
+    mpc.warn_of(schedule, at.load_profile(loop.profile).name, plant)
+    if feasible:
         if scheduler is not None or out is not None:
             raise InvalidInput("--feasible: leave out the schedule and --out; it tests all tunings and writes no page.")
-        _print_feasible(plant, mpc, profile, arguments.domain, arguments.mismatch, arguments.as_json)
+        _print_feasible(plant, mpc, loop, as_json)
         return
-    certificate = _certificate(schedule, plant, mpc, profile, arguments.domain, arguments.mismatch, out)
-    result = add_command(certificate_result(certificate), _next_step(arguments, certificate))
-    show.write_and_say(result, out, arguments.as_json)
+    certificate = _certificate(schedule, plant, mpc, loop, out)
+    schedule_words = () if scheduler is None else ("--scheduler", scheduler)
+    car_words, controller_words = option_words(loop.car), option_words(loop, "controller")
+    drive = ("drive", "general-trajectory", *car_words, "--profile", loop.profile, *schedule_words, *controller_words)
+    stable = command("certify", "--feasible", *option_words(loop), *(["--json"] if as_json else []))
+    next_step = choose_step(
+        (not certificate.passed, "to find the speeds and frictions with a stable tuning", stable),
+        (not loop.mismatch, "to certify cars that differ from their model", repeat_command_with("--mismatch")),
+        (out is None, "to see the margins on a page", repeat_command_with("--out", "certificate")),
+        (True, "to drive it", command(*drive)),
+    )
+    show.write_and_say(add_command(certificate_result(certificate), next_step), out, as_json)
     if not certificate.passed:
         _print_worst_point(certificate)
         raise typer.Exit(UNSTABLE)
-
-
-def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str, str]:
-    """Suggest the next command after a certificate, with the reason."""
-    car, controller = option_words(arguments.car), option_words(arguments, "controller")
-    scheduler = () if arguments.scheduler is None else ("--scheduler", arguments.scheduler)
-    drive = ("drive", "general-trajectory", *car, "--profile", arguments.profile, *scheduler, *controller)
-    feasible = option_words(replace(arguments, out=None))
-    return choose_step(
-        (not certificate.passed, "to find the speeds and frictions with a stable tuning",
-         command("certify", "--feasible", *feasible)),
-        (not arguments.mismatch, "to certify cars that differ from their model", repeat_command_with("--mismatch")),
-        (arguments.out is None, "to see the margins on a page", repeat_command_with("--out", "certificate")),
-        (True, "to drive it", command(*drive)),
-    )  # fmt: skip
 
 
 def _controller(name: str | None, car: at.Vehicle, profile: str, schedule: at.Schedule | None) -> at.MPC:
@@ -131,17 +114,18 @@ def _controller(name: str | None, car: at.Vehicle, profile: str, schedule: at.Sc
 
 
 def _certificate(
-    schedule: at.Schedule | None, plant: Any, mpc: at.MPC, profile: str, domain: dict[str, tuple[float, float]],
-    mismatch: bool, out: Path | None,
-) -> Certificate:  # fmt: skip
+    schedule: at.Schedule | None, plant: Any, mpc: at.MPC, loop: CertifiedLoop, out: Path | None
+) -> Certificate:
     from adaptrack.analysis.certify import certify as compute_certificate
     from adaptrack.analysis.linearisation import usual_mismatches
 
     options.make_page_folder(out)
-    mismatches = usual_mismatches(mpc.period) if mismatch else ()
+    mismatches = usual_mismatches(mpc.period) if loop.mismatch else ()
     tunings = mpc.tuning if schedule is None else schedule
     with show.progress("certify") as advance:
-        return compute_certificate(tunings, plant, mpc, profile, domain=domain, mismatches=mismatches, progress=advance)
+        return compute_certificate(
+            tunings, plant, mpc, loop.profile, domain=loop.domain, mismatches=mismatches, progress=advance
+        )
 
 
 def _print_worst_point(certificate: Certificate) -> None:
@@ -155,25 +139,25 @@ def _print_worst_point(certificate: Certificate) -> None:
     )
 
 
-def _print_feasible(
-    plant: Any, mpc: at.MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
-) -> None:
+def _print_feasible(plant: Any, mpc: at.MPC, loop: CertifiedLoop, as_json: bool) -> None:
     """Print the best tuning at each speed and friction; exit code 1 if no tuning is good enough somewhere."""
     from adaptrack.analysis.feasibility import feasibility
     from adaptrack.analysis.linearisation import usual_mismatches
 
-    mismatches = usual_mismatches(mpc.period) if mismatch else ()
+    mismatches = usual_mismatches(mpc.period) if loop.mismatch else ()
     with show.progress("feasible") as advance:
         result: Feasibility = feasibility(
-            plant, mpc, profile, mismatches=mismatches, progress=advance, **domain  # type: ignore[arg-type]
+            plant, mpc, loop.profile, mismatches=mismatches, progress=advance, **loop.domain  # type: ignore[arg-type]
         )  # fmt: skip
     if as_json:
         show.say_json(result.summary())
     else:
-        from adaptrack.results.certificate import with_ratio
+        from adaptrack.results.certificate import CERTIFICATE_COLUMNS, with_ratio
 
+        names = ("speed", "friction", "Np", "Nc", "ratio", "modulus_margin")
+        columns = [Column("held", "stable"), *(column for column in CERTIFICATE_COLUMNS if column.name in names)]
         title = "Tuning with the largest modulus margin at each speed and friction"
-        show.table(title, BEST_COLUMNS, with_ratio(result.summary()["rows"]))
+        show.table(title, columns, with_ratio(result.summary()["rows"]))
         if mpc.belief is not None:
             show.say(f"Steering model of the controller: {mpc.belief_at_first}.")
     if result.passed and not as_json:

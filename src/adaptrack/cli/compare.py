@@ -140,7 +140,7 @@ def _next_step(settings: CompareOptions, compared: Compared) -> tuple[str, str]:
 
 # -- lane changes -----------------------------------------------------------------------------------------------------
 def _compare_lane_change(settings: CompareOptions) -> Result:
-    from adaptrack.comparison.entry_speed import EntrySpeed, compare_entry_speeds
+    from adaptrack.comparison.entry_speed import compare_entry_speeds
     from adaptrack.results.lane_change import lane_change_result
 
     name = str(settings.lane_change)
@@ -153,12 +153,10 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
         raise InvalidInput(
             f"--lane-change {name}: {options_without_use[0]} has no effect: leave it out (--budget 0: do not tune)."
         )
-    runs: list[EntrySpeed] = []
     with show.progress(name) as advance:
-        for run in compare_entry_speeds(
+        runs = list(compare_entry_speeds(
             name, settings.vehicle or ["paper"], settings.profile or ["road"], settings.controller,
             tuned=settings.budget != 0, progress=advance,
-        ):  # fmt: skip
-            runs.append(run)
+        ))  # fmt: skip
     drive = command("drive", "country", "--vehicle", (settings.vehicle or ["paper"])[0])
     return add_command(lane_change_result(name, runs), ("drive a road", drive))

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import show
 from adaptrack.cli.options import option, option_group
-
-if TYPE_CHECKING:
-    from adaptrack.analysis.certify import Certificate
 
 INFORMED_NAME, STANDARD_NAME, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
 CERTIFIED_LEVELS = (9, 3)
@@ -118,7 +115,11 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, at.Co
     registered = [other for other in at.list_controllers() if other not in moves]
     if name in registered:
         optional = {key: getattr(settings, key) for key in ("period", "preview", "computation")}
-        arguments = _informed_arguments(settings, chosen) if name == INFORMED_NAME else _no_schedule(name, settings)
+        arguments = _informed_arguments(settings, chosen) if name == INFORMED_NAME else {}
+        if settings.schedule is not None and name != INFORMED_NAME:
+            raise InvalidInput(
+                f"--scheduler {settings.label}: schedules tune an MPC; leave the option out for controller {name!r}."
+            )
         label = settings.label if settings.schedule is not None else name
         return label, at.get_controller(name, settings.car, profile=settings.profile, optional=optional, **arguments)
     if name not in moves:
@@ -148,15 +149,6 @@ def _informed_arguments(settings: ControllerSettings, moves: at.Moves) -> dict[s
     if settings.tuning:
         arguments["tuning"] = settings.tuned(informed_tuning(settings.profile, settings.period))
     return arguments
-
-
-def _no_schedule(name: str, settings: ControllerSettings) -> dict[str, Any]:
-    """Return no arguments; raise InvalidInput if a schedule is given."""
-    if settings.schedule is not None:
-        raise InvalidInput(
-            f"--scheduler {settings.label}: schedules tune an MPC; leave the option out for controller {name!r}."
-        )
-    return {}
 
 
 def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, at.Controller]:
@@ -231,22 +223,17 @@ def _judge(
     InvalidInput
         When the loop is unstable when driving straight and `allowed` is False.
     """
-    certificate = _certificate(tuning, *loop)
-    clause += f": certificate over the domain of {loop[2].name!r}: {certificate.verdict}"
-    if not certificate.passed and not allowed:
-        raise InvalidInput(f"{clause} To drive it anyway, use --allow-failed.")
-    show.say(f"Warning, {clause}", aside=True)
-
-
-def _certificate(
-    tuning: at.Schedule | at.Tuning, mpc: at.MPC, plant: Any, car: at.Vehicle, world: at.Profile
-) -> Certificate:
     from adaptrack.analysis.certify import certify
     from adaptrack.analysis.stability import linear_twin
 
+    mpc, plant, car, world = loop
     domain = {"speed": car.domain.speed, "friction": car.domain.friction}
     with show.progress("certify for this car") as advance:
-        return certify(
+        certificate = certify(
             tuning, linear_twin(plant, car, car.domain), mpc, world.without_sample_ages, domain=domain,
             levels=CERTIFIED_LEVELS, progress=advance,
         )  # fmt: skip
+    clause += f": certificate over the domain of {car.name!r}: {certificate.verdict}"
+    if not certificate.passed and not allowed:
+        raise InvalidInput(f"{clause} To drive it anyway, use --allow-failed.")
+    show.say(f"Warning, {clause}", aside=True)

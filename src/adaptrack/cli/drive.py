@@ -22,7 +22,6 @@ from adaptrack.cli.road import drive_slower
 if TYPE_CHECKING:
     from adaptrack.base.result import Result, ResultTable
     from adaptrack.results import Run
-    from adaptrack.road.holdable_speed import HoldableSpeed
 
 STIFFNESS_MISMATCH = 1.25
 """Ratio of tyre stiffness to model stiffness from which the notes of a failed run mention it."""
@@ -67,12 +66,13 @@ def drive(arguments: DriveOptions) -> None:
     or if a value is not finite. The exit code is then 3.
     """
     from adaptrack.results.drive import write_page
+    from adaptrack.tuning.constant import load_tuning
 
     settings = arguments.drive
     car, plant = arguments.car.load()
     options.make_page_folder(settings.out, settings.png)
     options.make_place(settings.learned)
-    places = arguments.place.load(car, _held_speeds(arguments))
+    places = arguments.place.load(car, load_tuning(arguments.tuning[0]).holds if arguments.tuning else None)
     loop = DrivenLoop(car, plant, places, _make_controllers(arguments, places, car, plant))
     places.warn(car)
     runs = list(_drive(settings, loop, arguments.place.route.assumed_interval))
@@ -127,13 +127,6 @@ def _make_controllers(
         drivers.append(controllers.make_tuned(file, settings))
         controllers.certify_tuned(file, drivers[-1][1], settings, plant, arguments.drive.allow_failed)
     return drivers
-
-
-def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
-    """Return the speeds with sufficient margins from the first tuning file."""
-    from adaptrack.tuning.constant import load_tuning
-
-    return next((load_tuning(file).holds for file in arguments.tuning or []), None)
 
 
 def _make_driver(
@@ -225,10 +218,8 @@ def _say_failures(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     for row in rows:
         if row["failed"]:
             where = "" if row["driven_length"] is None else f", s = {row['driven_length']:.0f} m,"
-            run = f"{row['scenario']}, {row['controller']}"
-            show.say_failed(
-                f"{run}: at {row['failed_at']:.2f} s{where} the vehicle {row['failed_because']}.", aside=as_json
-            )
+            what = f"at {row['failed_at']:.2f} s{where} the vehicle {row['failed_because']}"
+            show.say_failed(f"{row['scenario']}, {row['controller']}: {what}.", aside=as_json)
 
 
 def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:

@@ -37,12 +37,9 @@ class ExportedController:
     learn: bool = flag("Let the informed controller learn; default if the car file has no lag and dead time.")
     learned: Path | None = option("FILE", "Like --learn, starting from this TOML file.")
 
-    def checked_road(self, car: at.Vehicle, world: at.Profile) -> roads.CheckedRoad:
-        """Load and check the road and its speed plan."""
-        return self._road_options.look(self.road, car, world)
-
     @property
-    def _road_options(self) -> roads.RoadOptions:
+    def route(self) -> roads.RoadOptions:
+        """The options of the road."""
         return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed, assumed_friction=self.assumed_friction)
 
     def make_speed_control(self, car: at.Vehicle) -> at.SpeedControl | None:
@@ -53,7 +50,7 @@ class ExportedController:
         InvalidInput
             When a friction is assumed without it.
         """
-        friction = self._road_options.assumed_interval
+        friction = self.route.assumed_interval
         if self.speed_control:
             return at.SpeedControl(car) if friction is None else at.SpeedControl(car, friction=friction)
         if friction is not None:
@@ -94,24 +91,20 @@ class ExportedController:
 
 
 # -- C library --------------------------------------------------------------------------------------------------------
-@option_group
-class ExportOptions:
-    """Options of `adaptrack export c`."""
-
-    out: Path = option("FOLDER", "Folder for the library.", ...)
-    exported: ExportedController
-    computation: float = option(
-        "S", "Time from calling the library until it returns the command (s).", 0.0, min=0.0, max=1.0
-    )
-    room: tuple[int, int] | None = option(
-        "NP NC", "Largest horizons of constants that the library may load later.", hidden=True
-    )
-    as_json: bool = json_flag()
-
-
 @app.command("c")
 @options.grouped
-def export_c(arguments: ExportOptions) -> None:
+def export_c(
+    *,
+    out: Path = option("FOLDER", "Folder for the library.", ...),
+    exported: ExportedController,
+    computation: float = option(
+        "S", "Time from calling the library until it returns the command (s).", 0.0, min=0.0, max=1.0
+    ),
+    room: tuple[int, int] | None = option(
+        "NP NC", "Largest horizons of constants that the library may load later.", hidden=True
+    ),
+    as_json: bool = json_flag(),
+) -> None:
     """Export a controller as a C library.
 
     The folder contains C99 sources, the constants of the controller, and a recorded drive of one minute. The command
@@ -122,19 +115,18 @@ def export_c(arguments: ExportOptions) -> None:
 
     from adaptrack.export.tracking import refuse
 
-    car, plant = arguments.exported.car.load()
-    world = at.load_profile(arguments.exported.profile)
-    controller = arguments.exported.make(car, world, arguments.computation)
-    speed = arguments.exported.make_speed_control(car)
+    car, plant = exported.car.load()
+    world = at.load_profile(exported.profile)
+    controller = exported.make(car, world, computation)
+    speed = exported.make_speed_control(car)
     refuse(controller)
-    options.make_folder(arguments.out)
-    checked = arguments.exported.checked_road(car, world)
+    options.make_folder(out)
+    checked = exported.route.look(exported.road, car, world)
     with show.progress("record a drive"):
         files = at.export_c(
-            controller, arguments.out, road=checked.road, plan=checked.plan, plant=plant, profile=world,
-            room=arguments.room, speed=speed,
-        )  # fmt: skip
-    if arguments.as_json:
+            controller, out, road=checked.road, plan=checked.plan, plant=plant, profile=world, room=room, speed=speed
+        )
+    if as_json:
         show.say_json({**asdict(files), "folder": str(files.folder), "backups": list(map(str, files.backups))})
         return
     show.say(f"{controller.name}: {files.folder}")
@@ -161,23 +153,19 @@ class Interface(StrEnum):
     third = "3.0"
 
 
-@option_group
-class FMUOptions:
-    """Options of `adaptrack export fmu`."""
-
-    out: Path = option("FOLDER", "Folder for car.fmu and controller.fmu.", ...)
-    exported: ExportedController
-    fmi: Interface = option(None, "Version of the Functional Mock-up Interface.", Interface.third)
-    platform: list[str] | None = option(
-        "NAME", "Platform of a binary: linux, linux-aarch64, windows, macos; default: this one; may be repeated."
-    )
-    prescribed_speed: bool = options.prescribed_speed_flag()
-    as_json: bool = json_flag()
-
-
 @app.command("fmu")
 @options.grouped
-def export_fmu(arguments: FMUOptions) -> None:
+def export_fmu(
+    *,
+    out: Path = option("FOLDER", "Folder for car.fmu and controller.fmu.", ...),
+    exported: ExportedController,
+    fmi: Interface = option(None, "Version of the Functional Mock-up Interface.", Interface.third),
+    platform: list[str] | None = option(
+        "NAME", "Platform of a binary: linux, linux-aarch64, windows, macos; default: this one; may be repeated."
+    ),
+    prescribed_speed: bool = options.prescribed_speed_flag(),
+    as_json: bool = json_flag(),
+) -> None:
     """Export a controller and a car as two FMUs for co-simulation.
 
     The FMUs need neither Python nor adaptrack. The compiler of the package ziglang makes their binaries, at the first
@@ -187,76 +175,71 @@ def export_fmu(arguments: FMUOptions) -> None:
     from adaptrack.export.fmu import write_fmu
     from adaptrack.export.units import car_unit, controller_unit
 
-    platforms = tuple(dict.fromkeys(arguments.platform or (fmu_build.own_platform(),)))
+    platforms = tuple(dict.fromkeys(platform or (fmu_build.own_platform(),)))
     fmu_build.check_platforms(platforms)
-    car, plant = arguments.exported.car.load()
-    world = at.load_profile(arguments.exported.profile)
-    controller = arguments.exported.make(car, world)
-    checked = arguments.exported.checked_road(car, world)
+    car, plant = exported.car.load()
+    world = at.load_profile(exported.profile)
+    controller = exported.make(car, world)
+    checked = exported.route.look(exported.road, car, world)
     route = at.RoadDrive(checked.road, checked.plan)
-    speed = arguments.exported.make_speed_control(car)
-    driver = speed or (None if arguments.prescribed_speed else at.Driver())
+    speed = exported.make_speed_control(car)
+    driver = speed or (None if prescribed_speed else at.Driver())
     preview = driver.preview if isinstance(driver, at.Driver) else None
     units = (
         controller_unit(controller, checked.road, checked.plan, speed_preview=preview, speed=speed),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )
-    options.make_folder(arguments.out)
-    files = [arguments.out / f"{unit.name}.fmu" for unit in units]
+    options.make_folder(out)
+    files = [out / f"{unit.name}.fmu" for unit in units]
     with show.progress("compile"):
-        for platform in platforms:
-            fmu_build.binary(platform)
-    with show.replacing(*files, aside=arguments.as_json):
+        for name in platforms:
+            fmu_build.binary(name)
+    with show.replacing(*files, aside=as_json):
         for unit, file in zip(units, files, strict=True):
-            write_fmu(unit, file, arguments.fmi.value, platforms)
-    if arguments.as_json:
+            write_fmu(unit, file, fmi.value, platforms)
+    if as_json:
         names = list(map(str, files))
-        show.say_json({"files": names, "fmi": arguments.fmi, "period": controller.period, "platforms": platforms})
+        show.say_json({"files": names, "fmi": fmi, "period": controller.period, "platforms": platforms})
         return
-    show.say(f"FMI {arguments.fmi.value}, for {' and '.join(platforms)}, a step is {controller.period:g} s")
+    show.say(f"FMI {fmi.value}, for {' and '.join(platforms)}, a step is {controller.period:g} s")
     for unit, file in zip(units, files, strict=True):
         show.say(f"{file}: {unit.title}, {file.stat().st_size:,} bytes")
 
 
 # -- page -------------------------------------------------------------------------------------------------------------
-@option_group
-class PageOptions:
-    """Options of `adaptrack export page`: the file and the initial settings of the page."""
-
-    out: Path = option("FILE", "HTML file of the page.", ...)
-    vehicle: str = options.vehicle_option("midsize-sedan")
+@app.command("page")
+@options.grouped
+def export_page(
+    *,
+    out: Path = option("FILE", "HTML file of the page.", ...),
+    vehicle: str = options.vehicle_option("midsize-sedan"),
     road: str = option(
         "ROAD",
         "motorway, country, town, mountain, lap, oval, or a file: .csv of x, y (m), .toml, .xodr, .xml.",
         "mountain",
-    )
-    speed: float | None = options.speed_option()
-    lateral_acceleration: float | None = options.lateral_acceleration_option()
-    profile: str = option("NAME", "paper, road, production or production-bus.", "road")
+    ),
+    speed: float | None = options.speed_option(),
+    lateral_acceleration: float | None = options.lateral_acceleration_option(),
+    profile: str = option("NAME", "paper, road, production or production-bus.", "road"),
     controller: list[str] | None = option(
         "NAME", "One or two of informed, learning, published, lqr, ...; default: informed."
-    )
-    seed: int = options.noise_seed_option()
-    as_json: bool = json_flag()
-
-
-@app.command("page")
-@options.grouped
-def export_page(arguments: PageOptions) -> None:
+    ),
+    seed: int = options.noise_seed_option(),
+    as_json: bool = json_flag(),
+) -> None:
     """Export an interactive simulation as one HTML file.
 
     The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
     are the initial settings; you can change all of them on the page.
     """
-    options.make_place(arguments.out)
-    with show.replacing(arguments.out, aside=arguments.as_json):
+    options.make_place(out)
+    with show.replacing(out, aside=as_json):
         page = at.export_page(
-            arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
-            lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
-            controllers=arguments.controller or ["informed"], seed=arguments.seed,
+            out, vehicle=vehicle, road=road, speed=speed, lateral_acceleration=lateral_acceleration, profile=profile,
+            controllers=controller or ["informed"], seed=seed,
         )  # fmt: skip
     size = page.stat().st_size
-    if arguments.as_json:
+    if as_json:
         show.say_json({"file": str(page), "bytes": size})
         return
     show.say(f"{page}: {size:,} bytes")

@@ -7,19 +7,11 @@ from collections.abc import Callable
 import adaptrack as at
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, option_words, say_next
-from adaptrack.cli.options import argument, json_flag, option_group
+from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.options import argument, json_flag
 
 Descriptions = dict[str, str]
 """Descriptions by name."""
-
-
-def _cars() -> Descriptions:
-    return {name: at.load_vehicle(name).description for name in at.list_vehicles()}
-
-
-def _tyres() -> Descriptions:
-    return {name: at.load_tyre(name).description for name in at.list_tyres()}
 
 
 def _roads() -> Descriptions:
@@ -33,10 +25,6 @@ def _scenarios() -> Descriptions:
 
     texts = at.list_scenarios().items()
     return {name: f"{text} Options: {', '.join(scenario_options(name)) or 'none'}." for name, text in texts}
-
-
-def _profiles() -> Descriptions:
-    return {name: at.load_profile(name).description for name in at.list_profiles()}
 
 
 def _controllers() -> Descriptions:
@@ -67,11 +55,14 @@ def _comparisons() -> Descriptions:
 
 
 COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
-    "cars": (_cars, "car"),
-    "tyres": (_tyres, "drive country --tyre"),
+    "cars": (lambda: {name: at.load_vehicle(name).description for name in at.list_vehicles()}, "car"),
+    "tyres": (lambda: {name: at.load_tyre(name).description for name in at.list_tyres()}, "drive country --tyre"),
     "roads": (_roads, "drive"),
     "scenarios": (_scenarios, "drive"),
-    "profiles": (_profiles, "drive country --profile"),
+    "profiles": (
+        lambda: {name: at.load_profile(name).description for name in at.list_profiles()},
+        "drive country --profile",
+    ),
     "controllers": (_controllers, "drive country --controller"),
     "drivers": (_drivers, "compare --driver"),
     "schedules": (_schedules, "certify"),
@@ -80,20 +71,15 @@ COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
 """For each kind of names: the function that describes them, and a command that uses one."""
 
 
-@option_group
-class ListOptions:
-    """Options of `adaptrack list`."""
-
-    kind: str | None = argument("KIND", f"{', '.join(COMMANDS)}; default: all kinds.")
-    plugin: list[str] | None = options.plugin_option()
-    as_json: bool = json_flag()
-
-
 @options.grouped
-def list_names(arguments: ListOptions) -> None:
+def list_names(
+    *,
+    kind: str | None = argument("KIND", f"{', '.join(COMMANDS)}; default: all kinds."),
+    plugin: list[str] | None = options.plugin_option(),
+    as_json: bool = json_flag(),
+) -> None:
     """List the names of cars, roads, controllers and other arguments."""
-    options.load_plugins(arguments.plugin)
-    kind, as_json = arguments.kind, arguments.as_json
+    options.load_plugins(plugin)
     if kind is None:
         rows = [{"kind": kind, "names": ", ".join(describe())} for kind, (describe, _) in COMMANDS.items()]
         show.listing("Names", rows, as_json)
@@ -104,4 +90,5 @@ def list_names(arguments: ListOptions) -> None:
     rows = [{"name": name, "description": text} for name, text in describe().items()]
     show.listing(f"{len(rows)} {kind}", rows, as_json)
     if rows and not as_json:
-        say_next("use one", command(*words.split(), rows[0]["name"], *option_words(arguments, "plugin")))
+        plugins = [word for module in plugin or () for word in ("--plugin", module)]
+        say_next("use one", command(*words.split(), rows[0]["name"], *plugins))

@@ -6,6 +6,7 @@ import dataclasses
 import re
 import shlex
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from adaptrack.cli import show
@@ -45,13 +46,13 @@ def repeat_command_with(*words: object) -> str:
     return command(*sys.argv[1:], *words)
 
 
-def replace_option(name: str, value: object) -> str:
-    """Return the current command line with a new value of an option."""
-    words = sys.argv[1:]
+def replace_option(name: str, value: object, without: Sequence[str] = ()) -> str:
+    """Return the current command line with a new value of an option, and without some flags."""
+    words = [word for word in sys.argv[1:] if word not in without]
     if name in words[:-1]:
         words[words.index(name) + 1] = str(value)
         return command(*words)
-    return repeat_command_with(name, value)
+    return command(*words, name, value)
 
 
 def option_words(group: Any, *names: str) -> list[str]:
@@ -64,8 +65,12 @@ def option_words(group: Any, *names: str) -> list[str]:
         value = getattr(group, field.name)
         if dataclasses.is_dataclass(value):
             words += option_words(value, *names)
-        elif value not in (None, field.default) and option_names(field) and (not names or field.name in names):
-            on, _, off = option_names(field)[0].partition("/")
+        elif (
+            value not in (None, field.default)
+            and option_names(field.name, field)
+            and (not names or field.name in names)
+        ):
+            on, _, off = option_names(field.name, field)[0].partition("/")
             if isinstance(value, bool):
                 words.append(on if value else off)
             elif isinstance(value, list):

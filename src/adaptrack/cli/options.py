@@ -26,9 +26,9 @@ EXIT_FAILED = 3
 
 # -- declarations -----------------------------------------------------------------------------------------------------
 def option(metavar: str | None, help: str, default: Any = None, *, names: Sequence[str] = (), **settings: Any) -> Any:
-    """Declare an option as a field of an `option_group`.
+    """Declare an option: the default of an argument of a command, or of a field of an `option_group`.
 
-    default: ``...`` if the option is required; names: by default that of the field; settings: as for `typer.Option`.
+    default: ``...`` if the option is required; names: by default that of the argument; settings: as for `typer.Option`.
     """
     return _declare(default, names=tuple(names), metavar=metavar, help=help, **settings)
 
@@ -49,29 +49,28 @@ def _declare(default: Any, **settings: Any) -> Any:
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def option_group(cls: type[Group]) -> type[Group]:
-    """Make a class of options: its fields are declared by `option`, `flag` and `argument`, or are other groups."""
+    """Make a class of options that several functions need: its fields are options, or other groups."""
     return dataclasses.dataclass(frozen=True, kw_only=True)(cls)
 
 
-def option_names(field: dataclasses.Field[Any]) -> tuple[str, ...]:
-    """Names of the option of a field, such as ``--lateral-acceleration``; none for an argument."""
+def option_names(name: str, field: dataclasses.Field[Any]) -> tuple[str, ...]:
+    """Names of an option, such as ``--lateral-acceleration``; none for an argument."""
     names = field.metadata["names"]
-    return () if names is None else names or (f"--{field.name.replace('_', '-')}",)
+    return () if names is None else names or (f"--{name.replace('_', '-')}",)
 
 
-def grouped(command: Callable[[Any], None]) -> Callable[..., None]:
-    """Convert a command with an option group as its parameter to a typer command with one option per field.
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """Convert a function to a typer command with one option for each argument and for each field of its groups.
 
     Rarely used options are declared hidden. `--help` omits them. Commands with hidden options also get the option
     `--help-all`, which shows them.
     """
-    (group,) = (hint for name, hint in get_type_hints(command).items() if name != "return")
-    declared = _parameters(group)
+    declared = _parameters(command)
     if any(get_args(parameter.annotation)[1].hidden for parameter in declared):
         declared.append(_parameter("help_all", HelpAll, False))
 
     def run(**values: Any) -> None:
-        command(_read_group(group, values))
+        command(**_read(command, values))
 
     functools.update_wrapper(run, command)
     run.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
@@ -79,17 +78,29 @@ def grouped(command: Callable[[Any], None]) -> Callable[..., None]:
     return run
 
 
-def _parameters(group: Any) -> list[inspect.Parameter]:
-    """Return the options of a group, with its groups expanded in place."""
-    hints, parameters = get_type_hints(group), list[inspect.Parameter]()
-    for field in dataclasses.fields(group):
-        if dataclasses.is_dataclass(hints[field.name]):
-            parameters += _parameters(hints[field.name])
+def _is_group(hint: Any) -> bool:
+    return dataclasses.is_dataclass(hint)
+
+
+def _declarations(owner: Any) -> list[tuple[str, Any, Any]]:
+    """Name, type and declaration of each argument of a command or field of a group; a group has no declaration."""
+    hints = get_type_hints(owner)
+    if _is_group(owner):
+        return [(field.name, hints[field.name], field) for field in dataclasses.fields(owner)]
+    return [(name, hints[name], parameter.default) for name, parameter in inspect.signature(owner).parameters.items()]
+
+
+def _parameters(owner: Any) -> list[inspect.Parameter]:
+    """Return the options of a command or group, with its groups expanded in place."""
+    parameters = list[inspect.Parameter]()
+    for name, hint, field in _declarations(owner):
+        if _is_group(hint):
+            parameters += _parameters(hint)
             continue
         settings = {key: value for key, value in field.metadata.items() if key != "names"}
-        names = option_names(field)
+        names = option_names(name, field)
         info = typer.Option(*names, **settings) if names else typer.Argument(**settings)
-        parameters.append(_parameter(field.name, Annotated[hints[field.name], info], field.default))
+        parameters.append(_parameter(name, Annotated[hint, info], field.default))
     return parameters
 
 
@@ -99,14 +110,11 @@ def _parameter(name: str, hint: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
-def _read_group(group: Any, values: dict[str, Any]) -> Any:
-    """Build a group of options from the parsed values."""
-    hints = get_type_hints(group)
-    return group(**{
-        field.name: _read_group(hints[field.name], values) if dataclasses.is_dataclass(hints[field.name])
-        else values[field.name]
-        for field in dataclasses.fields(group)
-    })  # fmt: skip
+def _read(owner: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a command or group from the parsed values."""
+    return {
+        name: hint(**_read(hint, values)) if _is_group(hint) else values[name] for name, hint, _ in _declarations(owner)
+    }
 
 
 def _show_all(context: typer.Context, is_requested: bool) -> None:

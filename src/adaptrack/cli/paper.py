@@ -15,13 +15,12 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS, WORKERS, RequestLimit, check_limit
 from adaptrack.cli import note_progress, options, show
-from adaptrack.cli.next_step import add_command, choose_step, command, next_line, option_words, replace_option, say_next
-from adaptrack.cli.options import argument, flag, json_flag, option, option_group
+from adaptrack.cli.next_step import add_command, choose_step, command, next_line, replace_option, say_next
+from adaptrack.cli.options import argument, flag, json_flag, option
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.paper.adaptation import LearningTask
-    from adaptrack.results.evaluation import Views
 
 app = typer.Typer(help="Repeat the paper's experiment, step by step.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -48,20 +47,16 @@ workers_option = partial(
 
 
 # -- reproduce --------------------------------------------------------------------------------------------------------
-@option_group
-class ReproduceOptions:
-    """Options of `adaptrack paper reproduce`."""
-
-    out: Path = options.page_option(...)
-    quick: bool = flag("Train for fewer epochs on fewer operating points.")
-    data: str = option("NAME", "Data set for training; its points must form a complete grid.", "paper-grid")
-    seed: int = learning_seed_option()
-    as_json: bool = json_flag()
-
-
 @app.command()
 @options.grouped
-def reproduce(arguments: ReproduceOptions) -> None:
+def reproduce(
+    *,
+    out: Path = options.page_option(...),
+    quick: bool = flag("Train for fewer epochs on fewer operating points."),
+    data: str = option("NAME", "Data set for training; its points must form a complete grid.", "paper-grid"),
+    seed: int = learning_seed_option(),
+    as_json: bool = json_flag(),
+) -> None:
     """Repeat the paper's experiment.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
@@ -70,37 +65,32 @@ def reproduce(arguments: ReproduceOptions) -> None:
     from adaptrack.paper.reproduce import reproduce as repeat_experiment
     from adaptrack.results.reproduce import reproduction_result
 
-    dataset = load_dataset(arguments.data)
-    options.make_page_folder(arguments.out)
+    dataset = load_dataset(data)
+    options.make_page_folder(out)
     with show.progress("reproduce") as advance:
-        reproduction = repeat_experiment(dataset, quick=arguments.quick, seed=arguments.seed, progress=advance)
-    longer = option_words(replace(arguments, out=Path(f"{arguments.out}-whole"), quick=False, as_json=False))
+        reproduction = repeat_experiment(dataset, quick=quick, seed=seed, progress=advance)
     next_step = choose_step(
-        (arguments.quick, "to train as long as the paper", command("paper", "reproduce", *longer)),
+        (quick, "to train as long as the paper", replace_option("--out", f"{out}-whole", without=["--quick"])),
         (True, "to drive a road", command("drive", "country", "--out", "drive")),
     )
-    show.write_and_say(add_command(reproduction_result(reproduction), next_step), arguments.out, arguments.as_json)
+    show.write_and_say(add_command(reproduction_result(reproduction), next_step), out, as_json)
 
 
 # -- campaign ---------------------------------------------------------------------------------------------------------
-@option_group
-class CampaignOptions:
-    """Options of `adaptrack paper campaign`."""
-
+@app.command()
+@options.grouped
+def campaign(
+    *,
     name: str = argument(
         "CAMPAIGN",
         "With --out: paper-grid, road-sobol, or a .toml file. Without: a data set (name, file or folder).",
         ...,
-    )
-    out: Path | None = option("DIR", "Folder of the campaign; without it, no tuning.")
-    workers: int | None = workers_option()
-    cluster: str | None = option("ADDRESS", "Address of a Dask scheduler, tcp://HOST:PORT; its workers compute.")
-    as_json: bool = json_flag()
-
-
-@app.command()
-@options.grouped
-def campaign(arguments: CampaignOptions) -> None:
+    ),
+    out: Path | None = option("DIR", "Folder of the campaign; without it, no tuning."),
+    workers: int | None = workers_option(),
+    cluster: str | None = option("ADDRESS", "Address of a Dask scheduler, tcp://HOST:PORT; its workers compute."),
+    as_json: bool = json_flag(),
+) -> None:
     """Tune the MPC at the operating points of a campaign.
 
     With --out, the command runs the campaign in this folder, or continues an interrupted campaign. It then writes a
@@ -111,18 +101,15 @@ def campaign(arguments: CampaignOptions) -> None:
     from adaptrack.paper.data_set import load_dataset
     from adaptrack.results.dataset import dataset_result
 
-    data: str | Path = arguments.name
-    if arguments.out is not None:
-        config = load_campaign(arguments.name)
-        note_progress(f"Finished parts are in {arguments.out}: run the command again to continue.")
+    data: str | Path = name
+    if out is not None:
+        config = load_campaign(name)
+        note_progress(f"Finished parts are in {out}: run the command again to continue.")
         with show.progress("campaign") as advance:
-            data = run_campaign(
-                config, arguments.out, workers=arguments.workers, cluster=arguments.cluster, progress=advance
-            )
-    learn = command("paper", "train", "--data", arguments.out or arguments.name, "--model", "nn", "--out", "nn.json")
+            data = run_campaign(config, out, workers=workers, cluster=cluster, progress=advance)
+    learn = command("paper", "train", "--data", out or name, "--model", "nn", "--out", "nn.json")
     next_step = next_line("to train a schedule on this data set", learn)
-    result = replace(dataset_result(load_dataset(data)), next_step=next_step)
-    show.write_and_say(result, arguments.out, arguments.as_json)
+    show.write_and_say(replace(dataset_result(load_dataset(data)), next_step=next_step), out, as_json)
 
 
 # -- train ------------------------------------------------------------------------------------------------------------
@@ -152,23 +139,19 @@ QUALITY_COLUMNS = (
 )
 
 
-@option_group
-class TrainOptions:
-    """Options of `adaptrack paper train`."""
-
-    data: str = option("NAME", "Data set: paper-grid, road-sobol, a file, or the folder of a campaign.", ...)
-    model: ModelName = option(None, "nn: neural networks (4-16-8-1); anfis: fuzzy systems.", ...)
-    out: Path = option("FILE", "File for the schedule (.json).", ...)
-    targets: TargetsName = option(
-        None, "Learned quantities. paper: Np, Nc, Q and R; ratio: Np, Nc and log10 R/Q.", TargetsName.paper
-    )
-    seed: int = learning_seed_option()
-    as_json: bool = json_flag()
-
-
 @app.command()
 @options.grouped
-def train(arguments: TrainOptions) -> None:
+def train(
+    *,
+    data: str = option("NAME", "Data set: paper-grid, road-sobol, a file, or the folder of a campaign.", ...),
+    model: ModelName = option(None, "nn: neural networks (4-16-8-1); anfis: fuzzy systems.", ...),
+    out: Path = option("FILE", "File for the schedule (.json).", ...),
+    targets: TargetsName = option(
+        None, "Learned quantities. paper: Np, Nc, Q and R; ratio: Np, Nc and log10 R/Q.", TargetsName.paper
+    ),
+    seed: int = learning_seed_option(),
+    as_json: bool = json_flag(),
+) -> None:
     """Train a schedule on a data set.
 
     The quality is measured on held-out operating points. Boosted trees show the best quality that can be expected.
@@ -177,19 +160,18 @@ def train(arguments: TrainOptions) -> None:
     from adaptrack.paper.training import purpose_of, trained_schedule
     from adaptrack.paper.training import train as train_models
 
-    out, model, targets = arguments.out, str(arguments.model), str(arguments.targets)
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: give a file name that ends in .json.")
-    dataset = load_dataset(arguments.data)
+    dataset = load_dataset(data)
     options.make_place(out)
     with show.progress("train") as advance:
-        trained = train_models(dataset, model, targets, seed=arguments.seed, progress=advance)
+        trained = train_models(dataset, str(model), str(targets), seed=seed, progress=advance)
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
         at.check_scheduler(schedule)
     schedule.save(out)
     note_progress(f"The schedule is in {out}.")
     rows = trained.quality
-    if arguments.as_json:
+    if as_json:
         show.say_json({"scheduler": str(out), "data": dataset.name, "model": model, "targets": targets, "rows": rows})
         return
     held_out = f"{rows[0]['n_holdout']} of {len(dataset)} operating points held out"
@@ -209,20 +191,16 @@ ROUND_COLUMNS = (
 )
 
 
-@option_group
-class AdaptOptions:
-    """Options of `adaptrack paper adapt`."""
-
-    campaign: str = argument("CAMPAIGN", "Campaign with a Sobol sample: road-sobol, or a .toml file.", "road-sobol")
-    out: Path = option("DIR", "Folder for campaign and schedules; a repeated command continues in it.", ...)
-    profile: str | None = profile_option()
-    workers: int | None = workers_option()
-    as_json: bool = json_flag()
-
-
 @app.command()
 @options.grouped
-def adapt(arguments: AdaptOptions) -> None:
+def adapt(
+    *,
+    campaign: str = argument("CAMPAIGN", "Campaign with a Sobol sample: road-sobol, or a .toml file.", "road-sobol"),
+    out: Path = option("DIR", "Folder for campaign and schedules; a repeated command continues in it.", ...),
+    profile: str | None = profile_option(),
+    workers: int | None = workers_option(),
+    as_json: bool = json_flag(),
+) -> None:
     """Run a campaign and train schedules on it.
 
     The schedules are constants, a look-up table, neural networks and ANFIS (fuzzy systems).
@@ -232,24 +210,24 @@ def adapt(arguments: AdaptOptions) -> None:
     from adaptrack.paper.adaptation import adapt as learn
     from adaptrack.paper.campaign_config import load_campaign
 
-    campaign = load_campaign(arguments.campaign).with_profile(arguments.profile)
-    options.make_folder(arguments.out)
-    note_progress(f"Finished parts and schedules are in {arguments.out}: run the command again to continue.")
+    config = load_campaign(campaign).with_profile(profile)
+    options.make_folder(out)
+    note_progress(f"Finished parts and schedules are in {out}: run the command again to continue.")
     with show.progress("adapt") as advance:
-        schedules = learn(campaign, arguments.out, workers=arguments.workers, progress=advance)
-    rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]
-    if arguments.as_json:
-        show.say_json({"schedulers": str(arguments.out / "schedulers"), "rows": rows})
+        schedules = learn(config, out, workers=workers, progress=advance)
+    histories = {name: schedule.provenance.get("history") for name, schedule in schedules.items()}
+    rows = [
+        {"contender": name, **min(history, key=lambda entry: entry["score"])}
+        for name, history in histories.items()
+        if history is not None
+    ]
+    if as_json:
+        show.say_json({"schedulers": str(out / "schedulers"), "rows": rows})
         return
     show.table("Schedules trained in closed loop", ROUND_COLUMNS, rows)
-    show.say(f"Schedules: {arguments.out / 'schedulers'}")
-    line = command("paper", "evaluate", arguments.out, "--campaign", arguments.campaign, "--profile", arguments.profile)
+    show.say(f"Schedules: {out / 'schedulers'}")
+    line = command("paper", "evaluate", out, "--campaign", campaign, "--profile", profile)
     say_next("to evaluate them on new runs", line)
-
-
-def _best_round(contender: str, schedule: at.Schedule) -> dict[str, object]:
-    best = min(schedule.provenance["history"], key=lambda entry: entry["score"])
-    return {"contender": contender, **best}
 
 
 # -- evaluate ---------------------------------------------------------------------------------------------------------
@@ -257,71 +235,59 @@ DEFAULT_POINTS = 2000
 """Default number of operating points without drives and tests."""
 
 
-@option_group
-class EvaluateOptions:
-    """Options of `adaptrack paper evaluate`."""
-
-    folder: Path | None = argument("[DIR]", "Folder of `paper adapt`; default: the shipped schedules.")
-    scheduler: list[str] | None = option("NAME", "Further schedule: see `list schedules`, or a .json file.")
+@app.command()
+@options.grouped
+def evaluate(
+    *,
+    folder: Path | None = argument("[DIR]", "Folder of `paper adapt`; default: the shipped schedules."),
+    scheduler: list[str] | None = option("NAME", "Further schedule: see `list schedules`, or a .json file."),
     operating_points: int | None = option(
         "N",
         f"Number of operating points, {OPERATING_POINTS.range}; default without --drives: {DEFAULT_POINTS}.",
         callback=at_most(OPERATING_POINTS),
-    )
-    drives: int | None = option("N", f"Number of drives of 60 s, {DRIVES.range}.", callback=at_most(DRIVES))
-    tests: bool = flag("Also drive the paper's two tests.")
-    campaign: str = option("NAME", "Campaign of the schedules: name or .toml file.", "road-sobol", hidden=True)
-    profile: str | None = profile_option()
+    ),
+    drives: int | None = option("N", f"Number of drives of 60 s, {DRIVES.range}.", callback=at_most(DRIVES)),
+    tests: bool = flag("Also drive the paper's two tests."),
+    campaign: str = option("NAME", "Campaign of the schedules: name or .toml file.", "road-sobol", hidden=True),
+    profile: str | None = profile_option(),
     perception: list[str] | None = option(
         "WAY",
         "Friction and wind that schedules get, besides exact: noisy, lagged, estimated, withheld, ...",
         hidden=True,
-    )
-    seed: int = option(None, "Seed of operating points and drives.", 7, callback=at_most(MAX_SEED, least=0))
-    out: Path | None = options.page_option()
-    as_json: bool = json_flag()
-
-
-@app.command()
-@options.grouped
-def evaluate(arguments: EvaluateOptions) -> None:
+    ),
+    seed: int = option(None, "Seed of operating points and drives.", 7, callback=at_most(MAX_SEED, least=0)),
+    out: Path | None = options.page_option(),
+    as_json: bool = json_flag(),
+) -> None:
     """Compare schedules with the best constant and the optimum.
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
     """
     from adaptrack.paper.adaptation import LearningTask, read_schedules, shipped_schedules
     from adaptrack.paper.campaign_config import load_campaign
+    from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
     from adaptrack.results.evaluation import evaluation_result
     from adaptrack.tuning.runs import make_perception
 
-    task = LearningTask.of(load_campaign(arguments.campaign).with_profile(arguments.profile))
-    schedules = shipped_schedules() if arguments.folder is None else read_schedules(arguments.folder)
-    schedules = _add_schedules(task, schedules, arguments.scheduler or [])
-    for way in arguments.perception or []:
+    task = LearningTask.of(load_campaign(campaign).with_profile(profile))
+    schedules = shipped_schedules() if folder is None else read_schedules(folder)
+    schedules = _add_schedules(task, schedules, scheduler or [])
+    for way in perception or []:
         make_perception(way, task.estimated, task.profile)  # raises InvalidInput for unknown names
-    options.make_page_folder(arguments.out)
+    options.make_page_folder(out)
+    points = DEFAULT_POINTS if operating_points is None and drives is None and not tests else operating_points
+    ways = tuple(dict.fromkeys(["exact", *(perception or [])]))
     with show.progress("evaluate") as advance:
-        views = _views(arguments, task, schedules, advance)
-    longer = replace_option("--drives", 200)
-    result = add_command(
-        evaluation_result(views, schedules), None if views["drives"] else ("to evaluate them on long drives", longer)
-    )
-    show.write_and_say(result, arguments.out, arguments.as_json)
-
-
-def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, at.Schedule], progress: Any) -> Views:
-    from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
-
-    points, drives, seed = arguments.operating_points, arguments.drives, arguments.seed
-    if points is None and drives is None and not arguments.tests:
-        points = DEFAULT_POINTS
-    ways = tuple(dict.fromkeys(["exact", *(arguments.perception or [])]))
-    settings: dict[str, Any] = {"perception": ways, "progress": progress}
-    return {
-        "operating points": evaluate_on_operating_points(task, schedules, points, seed, **settings) if points else {},
-        "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},
-        "tests": evaluate_on_tests(task, schedules) if arguments.tests else {},
-    }
+        settings: dict[str, Any] = {"perception": ways, "progress": advance}
+        views = {
+            "operating points": evaluate_on_operating_points(task, schedules, points, seed, **settings)
+            if points
+            else {},
+            "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},
+            "tests": evaluate_on_tests(task, schedules) if tests else {},
+        }
+    longer = None if drives else ("to evaluate them on long drives", replace_option("--drives", 200))
+    show.write_and_say(add_command(evaluation_result(views, schedules), longer), out, as_json)
 
 
 def _add_schedules(

@@ -86,12 +86,9 @@ class PlaceOptions:
         self._refuse(["--option"] if self.option else [], "a road", "scenarios; a road takes --speed")
         checked = self.route.look(self.names[0], car, profile, holdable)
         drive = at.RoadDrive(
-            checked.road,
-            checked.plan,
-            laps=self.laps or 1,
-            wind=self.wind or 0.0,
+            checked.road, checked.plan, laps=self.laps or 1, wind=self.wind or 0.0,
             start_offset=self.start_offset or 0.0,
-        )
+        )  # fmt: skip
         return DrivenPlaces([drive], profile, checked)
 
     @property

@@ -85,11 +85,6 @@ class RoadOptions:
         return stops
 
     @property
-    def assumed(self) -> float | None:
-        """Friction for which the speed is planned, the lower end of an interval; None: that of the road."""
-        return None if self.assumed_interval is None else self.assumed_interval[0]
-
-    @property
     def assumed_interval(self) -> tuple[float, float] | None:
         """Low and high end of the assumed friction; None: that of the road.
 
@@ -150,7 +145,8 @@ class RoadOptions:
         elif self.speed_column is not None and self.lateral_acceleration is None:
             plan = speed_limit_plan(road)
         else:
-            assumed = road if self.assumed is None else road.replace(friction=self.assumed)
+            friction = self.assumed_interval
+            assumed = road if friction is None else road.replace(friction=friction[0])
             plan = at.plan_speed(
                 assumed, car, comfort, start=self.start, stops=self.stops, holds=self._holds(car, profile, holdable)
             )
@@ -170,38 +166,30 @@ class RoadOptions:
             return holdable_speed(car, at.MPC(car, profile=profile), profile)
 
 
-@option_group
-class CheckOptions:
-    """Options of `adaptrack road check`."""
-
-    road: str = road_argument(...)
-    vehicle: str = options.vehicle_option("paper")
-    route: RoadOptions
-    as_json: bool = json_flag()
-
-
 @app.command()
 @options.grouped
-def check(arguments: CheckOptions) -> None:
+def check(
+    *,
+    road: str = road_argument(...),
+    vehicle: str = options.vehicle_option("paper"),
+    route: RoadOptions,
+    as_json: bool = json_flag(),
+) -> None:
     """Check whether a car can drive a road; exit code 1 if not."""
     from adaptrack.results.road import road_result
 
-    checked = arguments.route.look(arguments.road, at.load_vehicle(arguments.vehicle))
+    checked = route.look(road, at.load_vehicle(vehicle))
     result = road_result(checked.road, checked.plan, checked.findings)
-    show.say_result(add_command(result, _next_step(arguments, checked)), arguments.as_json)
-    if not checked.drivable:
-        raise typer.Exit(NOT_DRIVABLE)
-
-
-def _next_step(arguments: CheckOptions, checked: CheckedRoad) -> tuple[str, str]:
-    """Suggest the next command for a road, with the reason."""
-    words = (arguments.road, "--vehicle", arguments.vehicle, *option_words(arguments.route))
+    words = (road, "--vehicle", vehicle, *option_words(route))
     is_too_fast = all(finding.drivable or finding.kind in ("grip", "steering-rate") for finding in checked.findings)
-    return choose_step(
+    next_step = choose_step(
         (checked.drivable, "to drive it", command("drive", *words)),
-        (is_too_fast, "to check it at lower speed", drive_slower(arguments.route)),
+        (is_too_fast, "to check it at lower speed", drive_slower(route)),
         (True, "to see the places that cannot be driven", command("road", "plot", *words)),
     )
+    show.say_result(add_command(result, next_step), as_json)
+    if not checked.drivable:
+        raise typer.Exit(NOT_DRIVABLE)
 
 
 def drive_slower(route: RoadOptions) -> str:
@@ -212,31 +200,25 @@ def drive_slower(route: RoadOptions) -> str:
     return replace_option("--lateral-acceleration", round(SPEED_REDUCTION * comfort, 2))
 
 
-@option_group
-class PlotOptions:
-    """Options of `adaptrack road plot`."""
-
-    road: str = road_argument(...)
-    vehicle: str = options.vehicle_option("paper")
-    route: RoadOptions
-    out: Path = option("FILE", "PNG file of the picture.", Path("road.png"))
-
-
 @app.command()
 @options.grouped
-def plot(arguments: PlotOptions) -> None:
+def plot(
+    *,
+    road: str = road_argument(...),
+    vehicle: str = options.vehicle_option("paper"),
+    route: RoadOptions,
+    out: Path = option("FILE", "PNG file of the picture.", Path("road.png")),
+) -> None:
     """Draw the course, curvature and planned speed of a road as PNG."""
     from adaptrack.base.files import write_atomically
     from adaptrack.results.road import road_picture
     from adaptrack.results.style import picture_png
 
-    options.make_place(arguments.out)
-    checked = arguments.route.look(arguments.road, at.load_vehicle(arguments.vehicle))
-    write_atomically(arguments.out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
-    show.say(f"Picture: {arguments.out}")
-    say_next(
-        "to drive it", command("drive", arguments.road, "--vehicle", arguments.vehicle, *option_words(arguments.route))
-    )
+    options.make_place(out)
+    checked = route.look(road, at.load_vehicle(vehicle))
+    write_atomically(out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
+    show.say(f"Picture: {out}")
+    say_next("to drive it", command("drive", road, "--vehicle", vehicle, *option_words(route)))
 
 
 @dataclass(frozen=True)

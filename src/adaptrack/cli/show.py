@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 from adaptrack.base.presentation import printable as escaped
-from adaptrack.base.progress import TrackedWork, call_until, registered_work
+from adaptrack.base.progress import TrackedWork, Update, reported, shown_progress
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable, to_json
 from adaptrack.results.console import print_result, print_table, say, say_failed
@@ -84,28 +83,17 @@ def say_backups(files: Sequence[Path], aside: bool = False) -> None:
 
 
 # -- progress ---------------------------------------------------------------------------------------------------------
-Show = Callable[[str, int, int], None]
-"""Function that shows progress: show(label, completed steps, all steps)."""
-
-
-@contextmanager
-def progress(label: str, total: int = 1) -> Iterator[Show]:
-    """Show progress on standard error and yield the function that updates it.
+def progress(label: str, total: int = 1) -> AbstractContextManager[Update]:
+    """Show progress of a `with` block on standard error; the block gets the function that updates it.
 
     A terminal shows a bar, other outputs a line at intervals. Nested progress is not shown. label, total: see
     `base.progress.TrackedWork`. Inside another computation that shows its progress nothing is shown.
     """
-    work = TrackedWork(label, total)
-    with registered_work(work) as is_outermost:
-        if not is_outermost:
-            yield work.update
-            return
-        with _bar(work) if sys.stderr.isatty() else _lines(work) as update:
-            yield update
+    return shown_progress(TrackedWork(label, total), _bar if sys.stderr.isatty() else _lines)
 
 
 @contextmanager
-def _bar(work: TrackedWork) -> Iterator[Show]:
+def _bar(work: TrackedWork) -> Iterator[Update]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
@@ -129,17 +117,10 @@ def _bar(work: TrackedWork) -> Iterator[Show]:
         yield update
 
 
-@contextmanager
-def _lines(work: TrackedWork) -> Iterator[Show]:
-    over = threading.Event()
+def _lines(work: TrackedWork) -> AbstractContextManager[Update]:
+    return reported(work, _print_line)
 
-    def tell() -> None:
+
+def _print_line(work: TrackedWork, ended: bool) -> None:
+    if not ended:
         print(f"adaptrack: {printable(work.status_line())}", file=sys.stderr, flush=True)
-
-    teller = threading.Thread(target=call_until, args=(over, tell), daemon=True)
-    teller.start()
-    try:
-        yield work.update
-    finally:
-        over.set()
-        teller.join()

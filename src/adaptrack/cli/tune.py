@@ -94,9 +94,8 @@ def _tune_car(settings: TuneOptions) -> Result:
         controller="informed", vehicle=car.name, profile=tuned.profile.name, period=tuned.profile.period,
         command=options.command_line(), belief=summary["belief"], tuning=summary["tuning"],
     ).to_toml(tuning_file)  # fmt: skip
-    drive = _drive_command(settings, ["country"], car_file, tuning_file)
     files = {"car_file": str(car_file), "tuning_file": str(tuning_file)}
-    return add_command(tuned_car_result(tuned, files), ("drive with it", drive))
+    return add_command(tuned_car_result(tuned, files), _next_step(settings, ["country"], car_file, tuning_file))
 
 
 def _tune_on_roads(settings: TuneOptions) -> Result:
@@ -115,15 +114,14 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
     file = settings.out / TUNING_FILE
     tuned.file.to_toml(file)
     road = drive_words((settings.road or ["country"])[0], settings.length)
-    drive = _drive_command(settings, road, settings.car, file)
-    return add_command(tuned_roads_result(tuned, str(file)), ("drive with it", drive))
+    return add_command(tuned_roads_result(tuned, str(file)), _next_step(settings, road, settings.car, file))
 
 
-def _drive_command(settings: TuneOptions, road: list[str], car: str | Path, tuning: Path) -> str:
-    """Return the command that drives a road with a tuning."""
+def _next_step(settings: TuneOptions, road: list[str], car: str | Path, tuning: Path) -> tuple[str, str]:
+    """Suggest to drive a road with a tuning."""
     loop = option_words(settings, "plant", "prescribed_speed", "plugin")
     words = ("--vehicle", car, "--profile", settings.profile, *loop, "--tuning", tuning)
-    return command("drive", *road, *words)
+    return "drive with it", command("drive", *road, *words)
 
 
 def _pair(option: str, text: str | None) -> tuple[float, float] | None:

@@ -74,7 +74,7 @@ _DELAY = marks.ColourScale(1.0, 1000.0, "Delay margin (ms)", log=True)
 def certificate_result(certificate: Certificate) -> Result:
     """Return the result of a certificate; its record holds the summary and every point."""
     sweeps = _sweeps(certificate)
-    worst, turn = certificate.counted.straight.extremes, int(certificate.counted.unstable_in_turn.sum())
+    worst = certificate.counted.straight.extremes
     maps = [
         _margin_maps(certificate, f"{file}{'-turn' * (driving == 'turn')}", f"{name}, {_NAMES[driving].lower()}",
                      getattr(sweep, driving))
@@ -91,12 +91,8 @@ def certificate_result(certificate: Certificate) -> Result:
         pictures=[_modulus(certificate, worst["modulus_margin"]), *maps, _tunings(certificate)],
         failed=not certificate.passed,
         values={
-            "found": certificate, "points": len(certificate.points),
-            "unstable": int(certificate.counted.unstable.sum()), "worst": worst,
-            "turn": turn, "maps": [picture.name for picture in maps], "mismatched": len(mismatched),
+            "certificate": certificate, "worst": worst, "maps": [picture.name for picture in maps],
             "unstable_cars": sum(bool((margins.radius >= 1.0).any()) for margins in mismatched.values()),
-            "unguarded": None if certificate.guarded is None else int(certificate.bare.unstable.sum()),
-            "fallback": None if certificate.guarded is None else float(certificate.fallback.mean()),
         },
     )  # fmt: skip
 
@@ -223,11 +219,7 @@ def _modulus(certificate: Certificate, least: float) -> Picture:
         axes.set(xlabel="Speed (m/s)", ylabel="Modulus margin (–)")
 
     panel = Panel("Modulus margin over the speed", draw, f"Driving straight: at least {number(least)}.")
-    caption = (
-        "Smallest distance of the loop gain from −1; unstable below 0. Line: minimum over friction and all other "
-        "scheduling variables. Band: up to their maximum."
-    )
-    return Picture("modulus", caption, [panel], [(_NAMES[driving], stroke) for driving, stroke in _STROKES.items()])
+    return Picture("modulus", "", [panel], [(_NAMES[driving], stroke) for driving, stroke in _STROKES.items()])
 
 
 def _margin_maps(certificate: Certificate, name: str, title: str, margins: Margins) -> Picture:
@@ -261,13 +253,11 @@ def _tunings(certificate: Certificate) -> Picture:
         middle, span = (low + high) / 2.0, max(high - low, 2.0 if integer else 0.2)
         scale = marks.ColourScale(middle - span / 2.0, middle + span / 2.0, symbol, integer=integer)
         panels.append(_map(certificate, scale, cells))
-    caption = "The scheduler's tuning: median over all other scheduling variables."
     if certificate.guarded is not None:
         share = 100.0 * certificate.cells(certificate.fallback).mean(axis=2)
         panels.append(_map(certificate, marks.ColourScale(0.0, 100.0, "Fallback tuning (% of points)"), share))
-        caption = f"{caption[:-1]}, including the fallback of the guard; and share of points with the fallback."
-    return Picture("tunings", caption, panels, file="tunings.png", columns=len(panels) if len(panels) < 4 else 2,
-                   row_height=2.0)  # fmt: skip
+    columns = len(panels) if len(panels) < 4 else 2
+    return Picture("tunings", "", panels, file="tunings.png", columns=columns, row_height=2.0)
 
 
 def _narrow_scale(scale: marks.ColourScale, values: Array) -> marks.ColourScale:

@@ -75,16 +75,6 @@ LEFT_OUT_COLUMNS = (
     Column("where", "Profile: cars"),
     Column("why", "Reason"),
 )
-_NOTE = (
-    "Bold: best value of the column. Ratio: value divided by that of the reference, averaged over noise seeds, then "
-    "geometric mean over cars and roads. Intervals: bootstrap over cars and roads; with one car and one road, over "
-    "noise seeds. A failed run counts as an error of 5 m, and as 25 m² in the cost J = mean e² + weight of the "
-    "profile × mean (change of command)². Rank: 1 + number of controllers that are better with an interval of the "
-    "ratio below 1; equal ranks are not ordered. RMS error, 95 % error (median of the runs) and corner error are "
-    "measured until the end of a run or its failure. RMS steering rate: rate of the command. Lateral acceleration: "
-    "largest value of a run by UN R79, 95th percentile of the runs. Entry speed: highest clean entry speed into the "
-    "obstacle avoidance, mean over the cars."
-)
 
 
 def compare_result(compared: Compared) -> Result:
@@ -105,7 +95,7 @@ def compare_result(compared: Compared) -> Result:
         ],
         pictures=[_ratios(last, rows[last], comparisons[last].reference), _work(rows), *_entry_speeds(compared)],
         values={
-            "profiles": list(rows), "reference": comparisons[last].reference, "task": task,
+            "profiles": list(rows), "reference": comparisons[last].reference, "task": task, "colours": COLOURS,
             "contenders": [(name, about_contender(name).words) for name in task.contenders],
         },
     )  # fmt: skip
@@ -155,15 +145,8 @@ def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
     ]
     columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
     failed = select_entries(table_rows, ["failures"], lambda row: row["failures"] > 0)
-    return ResultTable(
-        profile,
-        f"Controllers in profile {profile}",
-        columns,
-        table_rows,
-        _NOTE,
-        best=best_cells(table_rows, BEST_VALUES),
-        alert=failed,
-    )
+    best = best_cells(table_rows, BEST_VALUES)
+    return ResultTable(profile, f"Controllers in profile {profile}", columns, table_rows, best=best, alert=failed)
 
 
 def best_cells(rows: Sequence[Row], best_values: Mapping[str, Callable[..., Any]]) -> frozenset[tuple[int, str]]:
@@ -249,16 +232,12 @@ def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
     ]  # fmt: skip
     label = f"RMS error / RMS error of {reference}"
     caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
-    panel, size = marks.dots_panel(dots, data_text(label), label, level=1.0)
-    return Picture("verdict", caption + marks.caption_notes(dots), [panel], (), "ratios.png", 1, size[1], size)
+    return marks.dots_picture("verdict", caption, dots, data_text(label), label, 1.0, "ratios.png")
 
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
-    caption = (
-        "RMS error over the RMS rate of the steering command, for tuned controllers; lower left is better. " + COLOURS
-    )
     panels = [_work_panel(profile, ranking) for profile, ranking in rows.items()]
-    return Picture("work", caption, panels, (), "work.png", 2, 3.0)
+    return Picture("work", "", panels, (), "work.png", 2, 3.0)
 
 
 def _work_panel(profile: str, ranking: Sequence[Row]) -> Panel:
@@ -300,12 +279,8 @@ def _entry_speeds(compared: Compared) -> list[Picture]:
         for profile, table in compared.profile_comparisons.items()
         if speeds[profile]
     ]
-    caption = (
-        "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, for the worst of three noise seeds. Dot: "
-        f"one car, at 0 if no speed was clean. Bar: mean over the cars. {COLOURS}"
-    )
     height = 0.75 + _ROW * max(map(len, speeds.values()), default=0)
-    return [Picture("entry", caption, panels, (), "entry.png", 1, height, (5.2, height))] if panels else []
+    return [Picture("entry", "", panels, (), "entry.png", 1, height, (5.2, height))] if panels else []
 
 
 def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[str, float]]) -> Panel:
@@ -405,25 +380,23 @@ _ADAPTIVE, _CONSTANT, _HINDSIGHT = marks.SERIES[0], marks.SERIES[1], marks.MUTED
 
 
 def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Picture:
-    """Each contender's cost over the reference's, with its 95 % interval; called: names contenders as tables do."""
-    dots = _cost_dots(comparison, called)
-    label = f"Cost / {called(comparison.reference)}"
-    panel, size = marks.dots_panel(dots, data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
-    caption = (
-        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
-        f"hindsight.{marks.caption_notes(dots)}"
-    )
-    return Picture("verdict", caption, [panel], size=size)
+    """Each contender's cost over the reference's, the cheapest first; called: names contenders as tables do.
 
-
-def _cost_dots(comparison: Comparison, called: Callable[[str], str]) -> list[marks.Dot]:
-    """A dot for each contender, the cheapest first; the reference only if there is no other."""
+    The reference itself is drawn only if there is no other contender.
+    """
     rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
-    return [
+    dots = [
         marks.Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],
             _role_colour(comparison, row["contender"]), row["failures"] > 0)
         for row in rows if row["contender"] != comparison.reference
     ] or [marks.Dot(called(comparison.reference), 1.0)]  # fmt: skip
+    label = f"Cost / {called(comparison.reference)}"
+    caption = (
+        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
+        "hindsight."
+    )
+    words = f"{label}, geometric mean and 95 % interval"
+    return marks.dots_picture("verdict", caption, dots, data_text(label), words, 1.0)
 
 
 def _role_colour(comparison: Comparison, contender: str) -> str:

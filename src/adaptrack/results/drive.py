@@ -173,18 +173,21 @@ def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
 def _labelled(runs: Sequence[Run]) -> list[Shown]:
     """Prepare the runs of one scenario, with distinct labels."""
     labels = [words.legible(run.label) or words.controller_name(run.trajectory.name_of("controller")) for run in runs]
-    return [
-        _prepare_run(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
-        for i, (label, run) in enumerate(zip(labels, runs, strict=True))
+    numbered = [
+        f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label
+        for i, label in enumerate(labels)
     ]
+    return list(map(_prepare_run, numbered, runs))
 
 
 def _prepare_run(label: str, run: Run) -> Shown:
     trajectory = run.trajectory if run.road is None else on_road(run.trajectory, run.road)
     outline = None if run.car is DEFAULT_DRAWN_CAR else run.car.outline
     metrics = run.metrics or compute_metrics(trajectory, outline=outline)
-    drive = None if run.road is None else DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
-    if run.road is None or run.plan is None:
+    if run.road is None:
+        return Shown(label, trajectory, metrics)
+    drive = DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
+    if run.plan is None:
         return Shown(label, trajectory, metrics, drive)
     following = speed_measures(trajectory, run.road, run.plan)
     return Shown(label, trajectory, metrics, drive, following, measure_stops(trajectory, run.plan))
@@ -229,7 +232,7 @@ def _speed_answer(run: Shown) -> str:
 
 def _failure(run: Shown) -> dict[str, str]:
     """Return name, time and reason of a failed run."""
-    where = "" if run.drive is None else f", at s = {words.number(float(run.drive.station[-1]), 4)} m"
+    where = "" if run.drive is None else f", at s = {words.number(float(run.drive.run.road['station'][-1]), 4)} m"
     name = f"{words.title_of(run.trajectory.name_of('scenario'))}, {run.label}"
     return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
 
@@ -257,9 +260,9 @@ def _pictures(
     key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):
-        figure = "6" if len(scenarios) > 1 else _paper_figure(first, "speed")
+        caption = _cite(SPEED_CAPTION, "6" if len(scenarios) > 1 else _paper_figure(first, "speed"))
         speeds = {words.title_of(name): runs for name, runs in groups.items()}
-        pictures.append(run_pictures.speed_picture(speeds, line_styles, _cite(SPEED_CAPTION, figure)))
+        pictures.append(run_pictures.speed_picture(speeds, line_styles, caption))
     for name, runs in groups.items():
         pictures += _signal_pictures(runs, line_styles, stems[name])
     return pictures
@@ -335,13 +338,7 @@ TRACKING_COLUMNS = (
     Column("rms_error", "RMS error", "m", 3),
     Column("p95_error", "95 % error", "m", 3, "95th percentile of the error"),
     Column("max_abs_error", "Max. error", "m", 3),
-    Column(
-        "max_corner_error",
-        "Max. corner error",
-        "m",
-        3,
-        "largest distance of a corner from the path, minus half the width",
-    ),
+    Column("max_corner_error", "Max. corner error", "m", 3, _CORNER_ERROR),
     Column("in_lane", "In lane", "% of time", "percent"),
     Column("outcome", "Failed"),
 )
@@ -470,15 +467,8 @@ def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
 
 def _with_values(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
     """Return the columns without optional columns that have no value."""
-    return [
-        column
-        for column in columns
-        if column.name not in OPTIONAL_COLUMNS or any(_exists(row[column.name]) for row in rows)
-    ]
-
-
-def _exists(value: Any) -> bool:
-    return value is not None and not (isinstance(value, float) and math.isnan(value))
+    present = {key for row in rows for key, value in row.items() if value is not None and value == value}  # not NaN
+    return [column for column in columns if column.name not in OPTIONAL_COLUMNS or column.name in present]
 
 
 def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:

@@ -76,7 +76,7 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule]) -> Result
         ],
         values={
             "runs": counted(_runs(comparison), NOUNS[view]), "reference": contender_label(comparison.reference),
-            "views": [name for name in views if views[name]],
+            "views": [name for name in views if views[name]], "ceiling": f"{CEILING:g}",
             "failed_cost": f"{portable.square(comparison.failure.distance):g}",
         },
     )  # fmt: skip
@@ -175,11 +175,7 @@ def regret_maps(comparison: Comparison) -> Picture:
         )
         for (name, quantity), cells in maps.items()
     ]  # fmt: skip
-    caption = (
-        "Regret over the domain: geometric mean of the operating points in a cell. All maps share one logarithmic "
-        f"scale of colours, which ends at {CEILING:g}."
-    )
-    return Picture("maps", caption, panels, file="regret-map.png", row_height=1.75)
+    return Picture("maps", "", panels, file="regret-map.png", row_height=1.75)
 
 
 def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
@@ -196,12 +192,8 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
                 partial(_draw_map, cells=cells, label=f"{label} ({input_unit})", scale=scale, image=True),
                 f"{plain(symbol)} over speed and {label.lower()}: {span(cells[2])}.",
             ))  # fmt: skip
-    caption = (
-        "The learned tuning over speed and the reference ahead, with the other inputs in the middle of their domain "
-        "and without the guard. Panels of the same output share their colours."
-    )
     columns = len(schedules) if len(schedules) > 1 else len(OUTPUT_LABELS)
-    return Picture("surfaces", caption, panels, file="surfaces.png", columns=columns, row_height=2.1)
+    return Picture("surfaces", "", panels, file="surfaces.png", columns=columns, row_height=2.1)
 
 
 def _draw_map(
@@ -223,11 +215,16 @@ def shared_scale(values: Sequence[Array], integer: bool) -> ColourScale:
 def _surface(schedule: Schedule) -> Array:
     """(nodes of the second input, nodes of speed, 3) outputs, the other inputs in the middle of their domain."""
     columns, rows = SURFACE_NODES
-    places = [SchedulingVariables._fields.index(name) for name in schedule.inputs]
-    variables = np.zeros((rows, columns, len(SchedulingVariables._fields)))
-    variables[..., places] = schedule.domain.mean(axis=1)
+    points = np.tile(schedule.domain.mean(axis=1), (rows, columns, 1))
     (slowest, fastest), (low, high) = schedule.domain[:2].tolist()
-    variables[..., places[0]] = np.linspace(slowest, fastest, columns)
-    variables[..., places[1]] = np.linspace(low, high, rows)[:, np.newaxis]
-    Np, Nc, Q, R = schedule.batch(variables.reshape(-1, variables.shape[-1])).T
+    points[..., 0] = np.linspace(slowest, fastest, columns)
+    points[..., 1] = np.linspace(low, high, rows)[:, np.newaxis]
+    Np, Nc, Q, R = tune_at(schedule, points.reshape(rows * columns, -1)).T
     return np.column_stack([Np, Nc, portable.log10(R / Q)]).reshape(rows, columns, 3)
+
+
+def tune_at(schedule: Schedule, points: Array) -> Array:
+    """The tuning of a schedule at values of its inputs (n, inputs), a row each."""
+    variables = np.zeros((len(points), len(SchedulingVariables._fields)))
+    variables[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = points
+    return schedule.batch(variables)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from adaptrack.base.result import Panel
+from adaptrack.base.result import Panel, Picture
 from adaptrack.core.maths import portable
 from adaptrack.results.words import data_text, legible, number
 
@@ -294,6 +294,20 @@ class Dot(NamedTuple):
     """Drawn as a cross."""
 
 
+def dots_picture(
+    name: str,
+    caption: str,
+    dots: Sequence[Dot],
+    label: str,
+    words: str = "",
+    level: float | None = None,
+    file: str = "",
+) -> Picture:
+    """A picture of `dots_panel`; the caption also explains crosses, arrows and omitted dots."""
+    panel, size = dots_panel(dots, label, words, level)
+    return Picture(name, caption + caption_notes(dots), [panel], (), file, 1, size[1], size)
+
+
 def dots_panel(
     dots: Sequence[Dot], label: str, words: str = "", level: float | None = None
 ) -> tuple[Panel, tuple[float, float]]:
@@ -302,20 +316,17 @@ def dots_panel(
     label: of the axis; words: before the numbers in the alternative text; level: where an upright line is drawn.
     Returns the panel and its size on the page (inch).
     """
-    rows = _first_dots(dots)
-    edge = _edge(rows)
+    rows, edge = _first_dots(dots)
 
     def draw(axes: Axes) -> None:
         if level is not None:
             axes.axvline(level, linewidth=0.9, **BACKGROUND_STROKE)
         for row, dot in enumerate(rows):
             _draw_dot(axes, dot, row, edge)
-        low, high, log = _limits(rows, [] if level is None else [level])
-        axes.set_xlabel(label)
+        low, high, log = _limits(rows, edge, [] if level is None else [level])
+        axes.set(xlabel=label, xlim=(low, high))
         if log:
             set_log_scale(axes, "x", (low, high))
-        else:
-            axes.set_xlim(low, high)
         name_rows(axes, [data_text(legible(dot.name, _NAME_LETTERS)) for dot in rows])
 
     panel = Panel("", draw, f"{words or label}. {'; '.join(map(_describe, rows))}.")
@@ -336,8 +347,8 @@ def _draw_dot(axes: Axes, dot: Dot, row: int, edge: float) -> None:
 
 def caption_notes(dots: Sequence[Dot]) -> str:
     """The sentences of a caption that explain crosses, arrows and omitted dots."""
-    rows = _first_dots(dots)
-    near = [dot for dot in rows if dot.value <= _edge(rows)]
+    rows, edge = _first_dots(dots)
+    near = [dot for dot in rows if dot.value <= edge]
     notes = [
         (any(dot.failed for dot in near), "Cross: failed runs."),
         (len(near) < len(rows), "Arrow: beyond the axis."),
@@ -346,19 +357,14 @@ def caption_notes(dots: Sequence[Dot]) -> str:
     return "".join(f" {note}" for applies, note in notes if applies)
 
 
-def _first_dots(dots: Sequence[Dot]) -> list[Dot]:
-    """As many finite dots as fit; the page's table has all."""
-    return [dot for dot in dots if math.isfinite(dot.value)][:MAX_DOTS]
+def _first_dots(dots: Sequence[Dot]) -> tuple[list[Dot], float]:
+    """As many finite dots as fit (the page's table has all), and the value above which a dot would flatten them."""
+    rows = [dot for dot in dots if math.isfinite(dot.value)][:MAX_DOTS]
+    return rows, EDGE_RATIO * float(np.median([dot.value for dot in rows])) if rows else math.inf
 
 
-def _edge(dots: Sequence[Dot]) -> float:
-    """The value above which a dot would flatten all others: `EDGE_RATIO` times the median."""
-    return EDGE_RATIO * float(np.median([dot.value for dot in dots])) if dots else math.inf
-
-
-def _limits(dots: Sequence[Dot], levels: Sequence[float]) -> tuple[float, float, bool]:
+def _limits(dots: Sequence[Dot], edge: float, levels: Sequence[float]) -> tuple[float, float, bool]:
     """The ends of the axis, and whether it is logarithmic."""
-    edge = _edge(dots)
     near = [dot for dot in dots if dot.value <= edge]
     ends = [end for dot in near for end in (dot.value, dot.low, min(dot.high, edge)) if math.isfinite(end)]
     ends += levels

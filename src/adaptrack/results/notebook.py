@@ -9,7 +9,6 @@ from functools import partial, singledispatch
 from typing import Any
 
 import numpy as np
-from markupsafe import escape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -18,13 +17,15 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.comparison.table import Comparison
-from adaptrack.control.scheduling import Schedule, SchedulingVariables
+from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.data_set import DataSet
 from adaptrack.results import marks, style, words
 from adaptrack.results.compare import ratios_picture
 from adaptrack.results.dataset import comparable_rows, gain_panel, histogram, targets
+from adaptrack.results.evaluation import tune_at
+from adaptrack.results.page import make_environment
 from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, on_road
 from adaptrack.results.run_pictures import tracking_picture
 from adaptrack.results.style import panel_figure, print_figure
@@ -135,18 +136,16 @@ def schedule_figure(schedule: Schedule) -> Figure:
     low, high = schedule.domain.T
     first, second = schedule.inputs[0], schedule.inputs[1:2]
     levels = np.linspace(low[1], high[1], 3) if second else np.zeros(1)
-    x = np.linspace(low[0], high[0], 200)
+    points = np.tile((low + high) / 2.0, (200, 1))
+    points[:, 0] = x = np.linspace(low[0], high[0], 200)
     label, unit = words.INPUT_LABELS[first]
     level_strokes = marks.strokes(
         f"{words.INPUT_LABELS[name][0]} {words.number(float(level))}" for name in second for level in levels
     )
     tunings = []
     for level in levels:
-        points = np.tile((low + high) / 2.0, (x.size, 1))
-        points[:, 0] = x
-        if second:
-            points[:, 1] = level
-        tunings.append(schedule.batch(_variables(schedule, points)))
+        points[:, 1 : 1 + len(second)] = level
+        tunings.append(tune_at(schedule, points))
 
     def draw(axes: Axes, k: int, log: bool) -> None:
         for tuning, stroke in zip(tunings, list(level_strokes.values()) or [marks.make_stroke()], strict=True):
@@ -163,13 +162,6 @@ def schedule_figure(schedule: Schedule) -> Figure:
         for k, name in enumerate(schedule.entries)
     ]  # fmt: skip
     return print_figure(Picture("schedule", "", panels, list(level_strokes.items()), row_height=2.1))
-
-
-def _variables(schedule: Schedule, points: Array) -> Array:
-    """Rows of all scheduling variables, given those of the schedule's inputs (n, D)."""
-    rows = np.zeros((len(points), len(SchedulingVariables._fields)))
-    rows[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = points
-    return rows
 
 
 @html_of.register
@@ -229,29 +221,19 @@ def comparison_figure(comparison: Comparison) -> Figure:
 @html_of.register
 def comparison_html(comparison: Comparison) -> str:
     """Contenders, the cheapest first: cost over the reference's with its interval, and failed runs."""
-    title = repr(comparison)[1:-1]
-    rows = {
-        row["contender"]: f"{words.ratio_with_interval(row)}; failed in {words.number(row['failures'])}"
-        for row in sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
-    }
+    title, rows = repr(comparison)[1:-1], {}
+    for row in sorted(comparison.rows(), key=lambda row: row["regret_geomean"]):
+        low, mean, high = (words.number(row[f"regret_{name}"]) for name in ("low", "geomean", "high"))
+        rows[row["contender"]] = f"{mean} ({low} to {high}); failed in {words.number(row['failures'])}"
     return html(title, rows, comparison_figure(comparison), title)
 
 
 # -- HTML -------------------------------------------------------------------------------------------------------------
 def html(title: str, rows: Mapping[str, str], figure: Figure | None = None, description: str = "") -> str:
     """A title, names with their values, and a picture, with nothing from outside."""
-    left = 'style="text-align: left"'
-    table = "".join(
-        f"<tr><th {left}>{escape(words.legible(name))}</th><td {left}>{escape(words.legible(text, 200))}</td></tr>"
-        for name, text in rows.items()
-    )
-    picture = ""
-    if figure is not None:
-        data = base64.b64encode(style.png(figure)).decode()
-        look = "max-width: 100%; width: 45rem"
-        picture = f'<img style="{look}" alt="{escape(description)}" src="data:image/png;base64,{data}">'
-    head = f"<p><strong>{escape(words.legible(title, 160))}</strong></p>" if title else ""
-    return f"<div>{head}<table>{table}</table>{picture}</div>"
+    picture = "" if figure is None else base64.b64encode(style.png(figure)).decode()
+    template = make_environment().get_template("notebook.html.j2")
+    return template.render(title=title, rows=rows, picture=picture, description=description)
 
 
 def _measures(metrics: Metrics) -> dict[str, str]:

@@ -60,7 +60,7 @@ def write_result(
 
 def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, Markup] | None = None) -> str:
     """The page of a result as HTML text: the template of its kind, or one that shows everything it holds."""
-    environment = _environment()
+    environment = make_environment()
     template = environment.select_template([f"{result.kind}.html.j2", "result.html.j2"])
     scripts = re.findall(r"<script>(.*?)</script>", "".join((embedded or {}).values()), re.DOTALL)
     return template.render(
@@ -73,7 +73,11 @@ def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, M
     )  # fmt: skip
 
 
-def _environment() -> jinja2.Environment:
+def make_environment() -> jinja2.Environment:
+    """Make the environment of the templates, with filters that write numbers, names and panels.
+
+    The ids of panels are counted, so that one environment renders one page.
+    """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("adaptrack.results"),
         autoescape=True,
@@ -89,7 +93,7 @@ def _environment() -> jinja2.Environment:
         figure = style.panel_figure(panel, size)
         return Markup(style.inline_svg(figure, f"p{next(counter)}", style.describe_panel(panel)))
 
-    formats = ("entry", "number", "percent", "listed", "counted", "capital", "title_of", "span", "few")
+    formats = ("entry", "number", "percent", "listed", "counted", "capital", "title_of", "span", "few", "legible")
     environment.filters |= {name: getattr(words, name) for name in formats}
     environment.filters |= {
         "inline": inline, "anchor": words.slug, "words": _holds_words, "dashes": _dashes,

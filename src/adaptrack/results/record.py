@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
@@ -19,7 +19,7 @@ from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.simulation.run import TRACE_SIGNALS
-from adaptrack.drive.failure import find_failure
+from adaptrack.drive.failure import Failed, find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import marks
@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-SPEED_SIGNALS = (
-    "governed_speed", "longitudinal_acceleration", "grip_used", "friction_low", "friction_high", "friction",
-)  # fmt: skip
-"""Signals of a speed control that the replay shows, with the true friction."""
 
 
 @dataclass(frozen=True)
@@ -72,40 +68,17 @@ DEFAULT_DRAWN_CAR = DrawnCar(Outline(2.15, 2.3, 1.8, ("length", "front_overhang"
 """The car that is drawn if none is specified."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class DriveRecord:
-    """One drive along a road at n instants as finite arrays (n,), in SI units and radians, positive to the left."""
+    """One drive along a road."""
 
     road: Road
+    run: Trajectory
+    """The run with its place on the road, up to the first instant that is not finite."""
     shape: DrawnCar
-    time: Array
-    """s, growing"""
-    station: Array
-    """m, arc length of the foot; it keeps growing over the laps of a closed road"""
-    x: Array
-    """m, of the centre of mass"""
-    y: Array
-    """m, of the centre of mass"""
-    yaw: Array
-    """rad; wrapped or not"""
-    speed: Array
-    """m/s, forward"""
-    offset: Array
-    """m, e: from the centre line to the centre of mass"""
-    steering: Array
-    """rad, angle of the front wheels"""
-    command: Array
-    """rad, steering command of the controller"""
-    planned_speed: Array
-    """m/s, planned for the place of the car; the reference of the speed where this is not recorded"""
-    speed_control: Mapping[str, Array] = field(default_factory=dict)
-    """signals of a speed control by the names of `SPEED_SIGNALS`; empty without one"""
-    failed: str = ""
-    """Reason of the failure, to complete "the vehicle ..."; empty if the drive did not fail."""
-    failed_at: float = math.nan
-    """s, time of the failure; NaN if the drive did not fail"""
+    failure: Failed | None
     predicted: PredictedPaths | None = None
-    """the paths that the controller predicted; None if they were not recorded"""
+    """The paths that the controller predicted; None if they were not recorded."""
 
     @classmethod
     def from_trajectory(
@@ -115,7 +88,7 @@ class DriveRecord:
         car: Vehicle | DrawnCar = DEFAULT_DRAWN_CAR,
         predicted: PredictedPaths | None = None,
     ) -> Self:
-        """A recorded run along its road, cut at the first instant that is not finite.
+        """A recorded run along its road.
 
         Where the run knows its road (`Trajectory.road`) that is taken; otherwise its positions are
         projected onto the road, each from the foot of the one before it.
@@ -132,27 +105,19 @@ class DriveRecord:
         InvalidInput
             When fewer than two instants are finite.
         """
-        run = on_road(run, road)
-        signals = {
-            "time": run.t, "station": run.road["station"], "x": run.X, "y": run.Y, "yaw": run.psi, "speed": run.vx,
-            "offset": run.road["offset"], "steering": run.steering, "command": run.command,
-            "planned_speed": run.road.get("planned_speed", run.v_ref),
-        }  # fmt: skip
-        finite = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
+        placed = on_road(run, road)
+        finite = np.isfinite([read(placed) for read in SIGNALS.values()]).all(axis=0)
         end = int(finite.argmin()) if not finite.all() else len(run)
         if end < 2:
             raise InvalidInput("a drive along a road must have at least two instants with finite numbers.")
-        failed = find_failure(run)
-        return cls(
-            **{name: values[:end] for name, values in signals.items()}, speed_control=_speed_signals(run, end),
-            road=road, shape=car if isinstance(car, DrawnCar) else DrawnCar.of(car),
-            failed=failed.clause if failed else "", failed_at=failed.time if failed else math.nan,
-            predicted=predicted or None,
-        )  # fmt: skip
+        drawn = placed if end == len(run) else placed.between(end=float(run.t[end]))
+        shape = car if isinstance(car, DrawnCar) else DrawnCar.of(car)
+        return cls(road, drawn, shape, find_failure(placed), predicted or None)
 
-    def __len__(self) -> int:
-        """The number n of instants."""
-        return int(self.time.size)
+    @property
+    def offset(self) -> Array:
+        """(n,) m, e: from the centre line to the centre of mass, positive to the left"""
+        return self.run.road["offset"]
 
     @property
     def p95_offset(self) -> float:
@@ -165,13 +130,19 @@ class DriveRecord:
         return float(np.abs(self.offset).max())
 
 
-def _speed_signals(run: Trajectory, end: int) -> dict[str, Array]:
-    """The signals of `SPEED_SIGNALS` up to an instant, those that are finite."""
-    if "governed_speed" not in run.diagnostics:
-        return {}
-    signals = {"friction": run.friction.mean(axis=1), **run.diagnostics}
-    columns = {name: np.asarray(signals[name][:end], dtype=float) for name in SPEED_SIGNALS}
-    return {name: values for name, values in columns.items() if np.isfinite(values).all()}
+SIGNALS: dict[str, Callable[[Trajectory], Array]] = {
+    "time": lambda run: run.t,
+    "station": lambda run: run.road["station"],
+    "x": lambda run: run.X,
+    "y": lambda run: run.Y,
+    "yaw": lambda run: run.psi,
+    "speed": lambda run: run.vx,
+    "offset": lambda run: run.road["offset"],
+    "steering": lambda run: run.steering,
+    "command": lambda run: run.command,
+    "planned_speed": lambda run: run.road.get("planned_speed", run.v_ref),
+}
+"""Signals that the replay shows of a run on a road, (n,), in SI units and rad, positive to the left."""
 
 
 def on_road(run: Trajectory, road: Road) -> Trajectory:
@@ -226,7 +197,7 @@ def offset_scale(drives: Sequence[DriveRecord]) -> float:
 
     Where all failed, above their 95th percentiles, since a car that left the road may be anywhere; at least 0.05.
     """
-    completed = [drive.max_offset for drive in drives if not drive.failed]
+    completed = [drive.max_offset for drive in drives if drive.failure is None]
     high = max(0.05, *(completed or [drive.p95_offset for drive in drives]))
     decade = portable.power(10.0, math.floor(portable.log10(high)))
     steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
@@ -251,7 +222,7 @@ def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
     road = drives[0].road
     if road.closed:
         return 0.0, road.length
-    low, high = (float(pick([pick(drive.station) for drive in drives])) for pick in (np.min, np.max))
+    low, high = (float(pick([pick(drive.run.road["station"]) for drive in drives])) for pick in (np.min, np.max))
     return min(0.0, low), max(road.length, high)
 
 
@@ -302,15 +273,14 @@ def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, e
     axes.fill(*surface.T, facecolor=marks.PALE, edgecolor="none", linewidth=0.6, zorder=1)
     for edge in (left, right):
         axes.plot(*edge.T, **marks.BACKGROUND_STROKE, linewidth=0.6)
-    pick = np.unique(np.linspace(0, len(drive) - 1, PIECES + 1).astype(int))
+    x, y = drive.run.X, drive.run.Y
+    pick = np.unique(np.linspace(0, x.size - 1, PIECES + 1).astype(int))
     worst = np.maximum.reduceat(np.abs(drive.offset), pick[:-1])
-    marks.draw_coloured_line(axes, drive.x[pick], drive.y[pick], worst, scale)
-    x, y = float(drive.x[0]), float(drive.y[0])
-    marks.draw_dots(axes, [x], [y], marks.INK, size=4.0)
-    marks.write_beside(axes, x, y, "start")
-    if drive.failed:
-        x, y = float(drive.x[-1]), float(drive.y[-1])
-        marks.draw_dots(axes, [x], [y], marks.INK, "x", 8.0, markeredgewidth=1.5)
-        marks.write_beside(axes, x, y, "failed", (6.0, -10.0))
+    marks.draw_coloured_line(axes, x[pick], y[pick], worst, scale)
+    marks.draw_dots(axes, x[:1], y[:1], marks.INK, size=4.0)
+    marks.write_beside(axes, x[0], y[0], "start")
+    if drive.failure is not None:
+        marks.draw_dots(axes, x[-1:], y[-1:], marks.INK, "x", 8.0, markeredgewidth=1.5)
+        marks.write_beside(axes, x[-1], y[-1], "failed", (6.0, -10.0))
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")

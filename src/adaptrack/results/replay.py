@@ -11,7 +11,6 @@ import json
 from importlib.resources import files
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
@@ -19,8 +18,10 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.presentation import printable
 from adaptrack.core.maths import portable
 from adaptrack.drive.predicted_paths import PredictedPaths
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import record
 from adaptrack.results.marks import deviation_colours
+from adaptrack.results.page import make_environment
 from adaptrack.road import Road
 
 PERIOD = 0.05
@@ -30,10 +31,14 @@ REPLAY_UNITS = {
     "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
     "command": 1e-4, "planned_speed": 1e-2,
 }  # fmt: skip
-"""The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
+"""The units to which the columns of a replay (`record.SIGNALS`) are rounded (s, m, rad, m/s)."""
 
-SPEED_SIGNAL_UNITS = dict.fromkeys(record.SPEED_SIGNALS, 1e-3)
-"""The same of a drive with a speed control (m/s, m/s^2, -)."""
+SPEED_SIGNALS = (
+    "governed_speed", "longitudinal_acceleration", "grip_used", "friction_low", "friction_high", "friction",
+)  # fmt: skip
+"""Columns of a drive with a speed control, with the true friction (m/s, m/s^2, -)."""
+
+SPEED_SIGNAL_UNIT = 1e-3
 
 PREDICTED_UNIT = 1e-2
 """m, to which predicted points are rounded."""
@@ -54,16 +59,13 @@ def replay(drives: record.Drives) -> Markup:
     InvalidInput
         When a signal jumps by more than 2^31 of its units, 2,000 km for positions.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("adaptrack.results"), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    template = environment.get_template("replay.html.j2")
     data = replay_data(drives)
     # JSON inside an element: "<" could end it, an escape cannot
     json_text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return Markup(
-        template.render(
+        make_environment()
+        .get_template("replay.html.j2")
+        .render(
             data=Markup(json_text),
             script=Markup("\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])),
             style=Markup(_shared(STYLE)),
@@ -72,7 +74,7 @@ def replay(drives: record.Drives) -> Markup:
             top=f"{data['top']:g}",
             beyond=max(drive.max_offset for drive in drives.values()) > data["top"],
             predicted=any(car["predicted"] for car in data["cars"]),
-            road=printable(data["road"]["name"]),
+            road=data["road"]["name"],
         )
     )
 
@@ -84,7 +86,7 @@ def replay_data(drives: record.Drives) -> dict[str, Any]:
         "road": _road(records[0].road, record.road_span(records)),
         "top": record.offset_scale(records),
         "shades": _shades(),
-        "period": round(float(np.median(np.diff(records[0].time[sample_indices(records[0])]))), 6),
+        "period": round(float(np.median(np.diff(records[0].run.t[sample_indices(records[0])]))), 6),
         "cars": [_car(label, drive) for label, drive in drives.items()],
     }
 
@@ -116,8 +118,9 @@ def pack_column(values: record.Array, unit: float) -> dict[str, Any]:
 
 def sample_indices(drive: record.DriveRecord) -> np.ndarray:
     """The indices of the instants that the replay holds: the first of each `PERIOD`, and the last of all."""
-    due = np.floor((drive.time - drive.time[0]) / PERIOD + 1e-6)
-    return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), len(drive) - 1])
+    time = drive.run.t
+    due = np.floor((time - time[0]) / PERIOD + 1e-6)
+    return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), time.size - 1])
 
 
 def _text(room: str, *path: str) -> str:
@@ -139,35 +142,44 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
 
 
 def _car(label: str, drive: record.DriveRecord) -> dict[str, Any]:
-    keep = sample_indices(drive)
-    columns = {name: getattr(drive, name)[keep] for name in REPLAY_UNITS}
-    columns["yaw"] = np.unwrap(drive.yaw)[keep]
-    columns |= {name: values[keep] for name, values in drive.speed_control.items()}
-    units = REPLAY_UNITS | SPEED_SIGNAL_UNITS
-    shape = drive.shape
+    keep, shape = sample_indices(drive), drive.shape
+    columns = {name: read(drive.run) for name, read in record.SIGNALS.items()}
+    columns |= {"yaw": np.unwrap(columns["yaw"])} | _speed_signals(drive.run)
     return {
         "name": printable(label),
-        "failed": drive.failed_at if drive.failed else None,
+        "failed": None if drive.failure is None else drive.failure.time,
         "outline": {
             "front": shape.outline.front, "rear": shape.outline.rear, "width": shape.outline.width,
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
-        "columns": {name: pack_column(values, units[name]) for name, values in columns.items()},
+        "columns": {
+            name: pack_column(values[keep], REPLAY_UNITS.get(name, SPEED_SIGNAL_UNIT))
+            for name, values in columns.items()
+        },
         "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
     }  # fmt: skip
 
 
+def _speed_signals(run: Trajectory) -> dict[str, record.Array]:
+    """Those of `SPEED_SIGNALS` that are finite; none without a speed control."""
+    if "governed_speed" not in run.diagnostics:
+        return {}
+    signals = {"friction": run.friction.mean(axis=1), **run.diagnostics}
+    columns = {name: np.asarray(signals[name], dtype=float) for name in SPEED_SIGNALS}
+    return {name: values for name, values in columns.items() if np.isfinite(values).all()}
+
+
 def _predicted(paths: PredictedPaths, drive: record.DriveRecord, keep: np.ndarray) -> dict[str, Any] | None:
     """Predicted paths in the car's axes, from the last sample at or before each, where their numbers change slowly."""
-    usable = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= drive.time[-1] + 1e-9)
-    at, rows = np.unique(
-        np.searchsorted(drive.time[keep], paths.time[usable] + 1e-9, side="right") - 1, return_index=True
-    )  # fmt: skip
+    run = drive.run
+    usable = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= run.t[-1] + 1e-9)
+    samples = np.searchsorted(run.t[keep], paths.time[usable] + 1e-9, side="right") - 1
+    at, rows = np.unique(samples, return_index=True)
     if not at.size or at[0] < 0:
         return None
     instants = keep[at]
-    gap = paths.points[usable][rows] - np.stack([drive.x[instants], drive.y[instants]], axis=-1)[:, None]
-    c, s = portable.cos(drive.yaw[instants])[:, None], portable.sin(drive.yaw[instants])[:, None]
+    gap = paths.points[usable][rows] - np.stack([run.X[instants], run.Y[instants]], axis=-1)[:, None]
+    c, s = portable.cos(run.psi[instants])[:, None], portable.sin(run.psi[instants])[:, None]
     ahead, left = c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
     points = [
         {"ahead": pack_column(a, PREDICTED_UNIT), "left": pack_column(b, PREDICTED_UNIT)}

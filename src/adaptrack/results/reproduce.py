@@ -45,7 +45,6 @@ PUBLISHED_COLUMNS = (
     Column("paper_mse", "Paper", "m²", "given"),
     Column("ratio", "Ours", "/ paper", 3),
 )
-BOLD = "Bold: the smallest error of its column that did not fail."
 LEARNING_COLUMNS = (
     Column("slot", "Target"),
     Column("r2", "R²", "hold-out", 3),
@@ -127,9 +126,7 @@ def _paper_figures(labelled: Sequence[tuple[str, Trajectory]]) -> Iterable[Pictu
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
-def errors_table(
-    name: str, title: str, columns: Sequence[Column], rows: Sequence[Row], note: str = "", group: str = ""
-) -> ResultTable:
+def errors_table(name: str, title: str, columns: Sequence[Column], rows: Sequence[Row], group: str = "") -> ResultTable:
     """A table whose entries that are runs show their mean square error; bold: the best of column and group."""
     best, failed = set(), set()
     for i, row in enumerate(rows):
@@ -141,9 +138,10 @@ def errors_table(
                 failed.add((i, column))
             elif run["mse"] == min(rival["mse"] for rival in rivals if _competes(rival)):
                 best.add((i, column))
-    table_rows = [{key: _error(value) if isinstance(value, Mapping) else value for key, value in row.items()}
-             for row in rows]  # fmt: skip
-    return ResultTable(name, title, columns, table_rows, note, group, frozenset(best), frozenset(failed))
+    table_rows = [
+        {key: _error(value) if isinstance(value, Mapping) else value for key, value in row.items()} for row in rows
+    ]
+    return ResultTable(name, title, columns, table_rows, "", group, frozenset(best), frozenset(failed))
 
 
 def _competes(run: Row) -> bool:
@@ -176,7 +174,7 @@ def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable
                 run["controller"], {"name": CONTROLLER_TITLES[run["controller"]], "moves": MOVE_TITLES[run["moves"]]}
             )
             row[f"{word} {run['scenario']}"] = run
-    return errors_table(configuration, CONFIGURATIONS[configuration], columns, list(by_controller.values()), BOLD)
+    return errors_table(configuration, CONFIGURATIONS[configuration], columns, list(by_controller.values()))
 
 
 def _ablation_table(reproduction: Reproduction) -> ResultTable:
@@ -190,11 +188,7 @@ def _ablation_table(reproduction: Reproduction) -> ResultTable:
         row = rows.setdefault((run["scenario"], run["controller"]), names)
         better = None if run["controller"] == "best-in-hindsight" else run["constants_better"]
         row |= {f"mse {run['moves']}": run, f"better {run['moves']}": better}
-    note = (
-        "Bold: the smallest error of its column and test, without hindsight. Better: constants of the library that "
-        "track better with the same moves."
-    )
-    return errors_table("ablation", "Every kind of moves with every tuning", columns, list(rows.values()), note, "test")
+    return errors_table("ablation", "Every kind of moves with every tuning", columns, list(rows.values()), "test")
 
 
 def _shares_table(shares: Sequence[Row]) -> ResultTable:
@@ -203,12 +197,7 @@ def _shares_table(shares: Sequence[Row]) -> ResultTable:
          "pole_percent": _percent(row["pole_share"]), "adaptation_percent": _percent(row["adaptation_share"])}
         for row in shares
     ]  # fmt: skip
-    note = (
-        "Gain: MSE of the standard MPC (pole 0.95, the table's constant) over that of the adaptive one (pole 0.75). "
-        "The two steps, pole and adaptation, can be taken in either order; each factor is the geometric mean of both. "
-        "A factor below 1 makes tracking worse."
-    )
-    return ResultTable("shares", "The gain over the standard MPC, split", SHARE_COLUMNS, rows, note, "test")
+    return ResultTable("shares", "The gain over the standard MPC, split", SHARE_COLUMNS, rows, group="test")
 
 
 def _percent(share: float | None) -> int | None:
@@ -241,8 +230,7 @@ def _informed_table(runs: Sequence[Row]) -> ResultTable:
         names = {"name": CONTROLLER_TITLES[run["controller"]], "profile": f"Profile {run['profile']}"}
         row = rows.setdefault((run["profile"], run["controller"]), names)
         row |= {f"mse {run['scenario']}": run, f"rate {run['scenario']}": run["rms_rate"]}
-    note = "Steering: rate of the command. In road: means over ten noise seeds, of the runs that did not fail."
-    return errors_table("informed", "A model of the steering", columns, list(rows.values()), note, "profile")
+    return errors_table("informed", "A model of the steering", columns, list(rows.values()), "profile")
 
 
 def _learning_tables(reproduction: Reproduction) -> list[ResultTable]:
@@ -251,14 +239,12 @@ def _learning_tables(reproduction: Reproduction) -> list[ResultTable]:
         ResultTable(
             "learning", "The learned functions", LEARNING_COLUMNS,
             [{**row, "name": CONTROLLER_TITLES[row["model"]]} for row in reproduction.learning],
-            "R² and RMSE on held-out operating points; ceiling: boosted trees on the same rows; dead: rows at which "
-            "the ReLU holds the output at the target's lowest value.", "name",
+            group="name",
         ),
         ResultTable(
             "domain", "Inputs outside the domain of the data",
             [Column("test", "Test"), *(Column(key, key, "% of steps", "percent") for key in inputs)],
             [{**row, "test": title_of(row["scenario"])} for row in reproduction.domain],
-            "Such inputs are clipped to the domain before a schedule receives them.",
         ),
     ]  # fmt: skip
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Runs = Mapping[str, Trajectory]
 """Label -> run, in the order of the legend."""
+Strokes = Mapping[str, marks.Stroke]
 RunSignal = Callable[[Trajectory], Array]
 """A function that returns a signal of a run."""
 
@@ -37,7 +38,7 @@ CREEPING = 3.0
 """m/s, lowest speed of the paper's operating domain; a panel may cut off slower driving"""
 
 CURVE_POINTS = 2400
-"""Instants of a curve: more are thin_curve to the smallest and the largest of each of half as many parts."""
+"""Instants of a curve: more are thinned to the smallest and the largest of each of half as many parts."""
 
 
 @dataclass(frozen=True)
@@ -60,32 +61,42 @@ class DrawnRun:
 Lines = Sequence[DrawnRun]
 
 
-def prepare_runs(runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None) -> list[DrawnRun]:
-    """The runs with their marks.strokes, those that failed cut at the instant of the failure.
-
-    Raises
-    ------
-    InvalidInput
-        When there is no run, or one without a stroke.
-    """
-    if not runs:
-        raise InvalidInput("figure: at least one run is needed.")
-    line_styles = line_styles or marks.strokes(runs)
-    missing = [label for label in runs if label not in line_styles]
-    if missing:
-        raise InvalidInput(f"figure: no stroke for {', '.join(map(repr, missing))}.")
-    lines = []
+def prepare_runs(runs: Runs, strokes: Strokes | None = None) -> list[DrawnRun]:
+    """The runs with their strokes, those that failed cut at the last position up to the failure."""
+    strokes, lines = strokes or marks.strokes(runs), []
     for label, run in runs.items():
-        failed = find_failure(run)
-        drawn = run if failed is None else run.between(run.t[0], _last_drawn(run, failed.step) + 0.5 * run.period)
-        lines.append(DrawnRun(label, drawn, line_styles[label], failed is not None, float(run.t[-1]) + run.period))
+        failed, drawn = find_failure(run), run
+        if failed is not None:
+            finite = np.flatnonzero(np.isfinite(run.Y[: failed.step + 1]))
+            last = float(run.t[finite[-1] if finite.size else 0])
+            drawn = run.between(run.t[0], last + 0.5 * run.period)
+        lines.append(DrawnRun(label, drawn, strokes[label], failed is not None, float(run.t[-1]) + run.period))
     return lines
 
 
-def _last_drawn(run: Trajectory, failed: int) -> float:
-    """s, the last instant with a position, up to the one at which the run failed."""
-    finite = np.flatnonzero(np.isfinite(run.Y[: failed + 1]))
-    return float(run.t[finite[-1] if finite.size else 0])
+# -- signals ----------------------------------------------------------------------------------------------------------
+def _columns(group: Literal["diagnostics", "tuning"], *names: str) -> RunSignal:
+    """A function that returns recorded columns of a run, (n,) or (names, n); NaN where its controller has none."""
+
+    def values(run: Trajectory) -> Array:
+        recorded: Mapping[str, Array] = getattr(run, group)
+        columns = [np.asarray(recorded.get(name, np.full(len(run), np.nan)), dtype=float) for name in names]
+        return columns[0] if len(columns) == 1 else np.stack(columns)
+
+    return values
+
+
+def _speed(run: Trajectory) -> Array:
+    return run.vx
+
+
+def _planned_speed(run: Trajectory) -> Array:
+    return run.road.get("planned_speed", run.v_ref)
+
+
+_GOVERNED = _columns("diagnostics", "governed_speed")
+_LOW, _HIGH = _columns("diagnostics", "friction_low"), _columns("diagnostics", "friction_high")
+_LIMIT = _columns("diagnostics", "limited_by")
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
@@ -99,8 +110,7 @@ def _panel(title: str, label: str, lines: Lines, value: RunSignal, draw: Callabl
         draw(axes)
 
     ranges = "; ".join(f"{line.label}: {span(value(line.run))}" for line in lines)
-    description = f"{plain(label)}, over {'the station' if along else 'time'}. {ranges}."
-    return Panel(title, draw_over, description)
+    return Panel(title, draw_over, f"{plain(label)}, over {'the station' if along else 'time'}. {ranges}.")
 
 
 def _time(lines: Lines) -> tuple[float, float]:
@@ -111,112 +121,6 @@ def _station(lines: Lines) -> tuple[float, float]:
     low = float(min(np.nanmin(line.x, initial=np.inf) for line in lines))
     high = max(low + 1.0, float(max(np.nanmax(line.x, initial=-np.inf) for line in lines)))
     return low, high + 0.04 * (high - low)  # room for the whole last number
-
-
-def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
-    """The speed reference (dashed), and the driven speeds."""
-
-    def speed(run: Trajectory) -> Array:
-        return run.vx
-
-    def draw(axes: Axes) -> None:
-        for line in lines:
-            _draw_curve(axes, line, line.run.vx)
-        _draw_shared(axes, lines, lambda run: run.road.get("planned_speed", run.v_ref), marks.REFERENCE_STROKE)
-        if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
-            axes.set_ylim(bottom=0.0)
-        _draw_crosses(axes, lines, speed)
-
-    return _panel(title, "Speed (m/s)", lines, speed, draw)
-
-
-def tracking_panels(lines: Lines) -> list[Panel]:
-    """Lateral position, error, angle of the front wheels, yaw rate; on a road speed and acceleration in their place."""
-    if any(line.run.road for line in lines):
-        acceleration = _signal(
-            "Lateral acceleration", "Lateral acc. (m/s²)", lines, lambda run: run.lateral_acceleration
-        )
-        return [error_panel(lines), _steering(lines), speed_panel(lines), acceleration]
-    return [
-        _signal("Trajectory tracking", "Lateral position (m)", lines, lambda run: run.Y, lambda run: run.y_ref),
-        error_panel(lines),
-        _steering(lines),
-        _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
-    ]
-
-
-def speed_control_panels(lines: Lines) -> list[Panel]:
-    """Governed speed, longitudinal acceleration, used grip, assumed friction, and what limits the speed."""
-    speed = speed_panel(lines, "Speed, governed (dotted), planned (dashed)")
-
-    def draw_speeds(axes: Axes) -> None:
-        speed.draw(axes)
-        for line in lines:
-            _draw_curve(
-                axes,
-                line,
-                _diagnostic("governed_speed")(line.run),
-                marks.make_stroke(line.stroke["color"], marks.DOTTED),
-            )
-
-    acceleration = _signal(
-        "Longitudinal acceleration", "Long. acc. (m/s²)", lines, _diagnostic("longitudinal_acceleration")
-    )
-    grip = _signal("Used share of the assumed grip", "Used grip (–)", lines, _diagnostic("grip_used"))
-    return [replace(speed, draw=draw_speeds), acceleration, grip, _assumed_friction(lines), _limits_band(lines)]
-
-
-def _diagnostic(name: str) -> RunSignal:
-    """A function that returns a diagnostic of a run; NaN where its controller has none."""
-    return lambda run: np.asarray(run.diagnostics.get(name, np.full(len(run), np.nan)), dtype=float)
-
-
-def _assumed_friction(lines: Lines) -> Panel:
-    low, high = _diagnostic("friction_low"), _diagnostic("friction_high")
-
-    def draw(axes: Axes) -> None:
-        _draw_shared(axes, lines, lambda run: run.friction.mean(axis=1))
-        for line in lines:
-            marks.draw_ribbon(axes, line.x, low(line.run), high(line.run), line.stroke["color"])
-            _draw_curve(axes, line, low(line.run))
-            _draw_curve(axes, line, high(line.run))
-        marks.include_y(axes, 0.0, 1.0)
-
-    title = "Friction: assumed interval, true (black)"
-    return _panel(title, "Friction (–)", lines, lambda run: np.concatenate([low(run), high(run)]), draw)
-
-
-def _limits_band(lines: Lines) -> Panel:
-    """A row for each cause that limits the speed, with a bar where it does."""
-    limits = list(SpeedLimit)
-    codes = _diagnostic("limited_by")
-    limiting = np.unique(np.concatenate([codes(line.run) for line in lines]))
-    rows = limiting[np.isfinite(limiting)].astype(int).tolist()
-
-    def draw(axes: Axes) -> None:
-        height = 0.8 / len(lines)
-        for k, line in enumerate(lines):
-            code = codes(line.run)
-            cuts = np.flatnonzero(np.diff(code, prepend=np.nan, append=np.nan) != 0.0)
-            for first, last in itertools.pairwise(cuts.tolist()):
-                start, end = float(line.x[first]), float(line.x[min(last, len(line.run) - 1)])
-                if np.isfinite(code[first]):
-                    bottom = rows.index(int(code[first])) - 0.4 + k * height
-                    axes.broken_barh([(start, max(end - start, 0.0))], (bottom, height), color=line.stroke["color"])
-        marks.name_rows(axes, [limits[row] for row in rows])
-
-    panel = _panel("Speed limited by", "", lines, codes, draw)
-    shares = "; ".join(
-        f"{line.label}: {limits[row]} {100.0 * float(np.mean(codes(line.run) == row)):.0f} %"
-        for line in lines
-        for row in rows
-    )
-    return replace(panel, description=f"What limits the speed, share of the time. {shares}.")
-
-
-def error_panel(lines: Lines) -> Panel:
-    """The error from the reference or path."""
-    return _signal("Tracking error", "Tracking error e (m)", lines, lambda run: run.error)
 
 
 def _signal(
@@ -239,6 +143,97 @@ def _signal(
         axes.set_title(remarks, loc="right", fontsize=7.5, fontweight="normal", color=marks.MUTED)
 
     return _panel(title, label, lines, value, draw)
+
+
+def error_panel(lines: Lines) -> Panel:
+    """The error from the reference or path."""
+    return _signal("Tracking error", "Tracking error e (m)", lines, lambda run: run.error)
+
+
+def tracking_panels(lines: Lines) -> list[Panel]:
+    """Lateral position, error, angle of the front wheels, yaw rate; on a road speed and acceleration in their place."""
+    error, steering = error_panel(lines), _steering(lines)
+    if any(line.run.road for line in lines):
+        acceleration = "Lateral acceleration", "Lateral acc. (m/s²)"
+        return [
+            error,
+            steering,
+            speed_panel(lines),
+            _signal(*acceleration, lines, lambda run: run.lateral_acceleration),
+        ]
+    position = "Trajectory tracking", "Lateral position (m)"
+    return [
+        _signal(*position, lines, lambda run: run.Y, lambda run: run.y_ref), error, steering,
+        _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
+    ]  # fmt: skip
+
+
+def speed_panel(lines: Lines, title: str = "Speed", governed: bool = False) -> Panel:
+    """The speed reference (dashed), the driven speeds, and those of the governor (dotted) if they are requested."""
+
+    def draw(axes: Axes) -> None:
+        for line in lines:
+            _draw_curve(axes, line, line.run.vx)
+        _draw_shared(axes, lines, _planned_speed, marks.REFERENCE_STROKE)
+        if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
+            axes.set_ylim(bottom=0.0)
+        _draw_crosses(axes, lines, _speed)
+        for line in lines if governed else ():
+            _draw_curve(axes, line, _GOVERNED(line.run), marks.make_stroke(line.stroke["color"], marks.DOTTED))
+
+    return _panel(title, "Speed (m/s)", lines, _speed, draw)
+
+
+def speed_control_panels(lines: Lines) -> list[Panel]:
+    """Governed speed, longitudinal acceleration, used grip, assumed friction, and what limits the speed."""
+    acceleration, grip = (_columns("diagnostics", name) for name in ("longitudinal_acceleration", "grip_used"))
+    return [
+        speed_panel(lines, "Speed, governed (dotted), planned (dashed)", governed=True),
+        _signal("Longitudinal acceleration", "Long. acc. (m/s²)", lines, acceleration),
+        _signal("Used share of the assumed grip", "Used grip (–)", lines, grip),
+        _assumed_friction(lines),
+        _limits_band(lines),
+    ]
+
+
+def _assumed_friction(lines: Lines) -> Panel:
+    def draw(axes: Axes) -> None:
+        _draw_shared(axes, lines, lambda run: run.friction.mean(axis=1))
+        for line in lines:
+            marks.draw_ribbon(axes, line.x, _LOW(line.run), _HIGH(line.run), line.stroke["color"])
+            _draw_curve(axes, line, _LOW(line.run))
+            _draw_curve(axes, line, _HIGH(line.run))
+        marks.include_y(axes, 0.0, 1.0)
+
+    title = "Friction: assumed interval, true (black)"
+    return _panel(title, "Friction (–)", lines, _columns("diagnostics", "friction_low", "friction_high"), draw)
+
+
+def _limits_band(lines: Lines) -> Panel:
+    """A row for each cause that limits the speed, with a bar where it does."""
+    limits = list(SpeedLimit)
+    limiting = np.unique(np.concatenate([_LIMIT(line.run) for line in lines]))
+    rows = limiting[np.isfinite(limiting)].astype(int).tolist()
+
+    def draw(axes: Axes) -> None:
+        height = 0.8 / len(lines)
+        for k, line in enumerate(lines):
+            code = _LIMIT(line.run)
+            cuts = np.flatnonzero(np.diff(code, prepend=np.nan, append=np.nan) != 0.0)
+            for first, last in itertools.pairwise(cuts.tolist()):
+                start, end = float(line.x[first]), float(line.x[min(last, len(line.run) - 1)])
+                if np.isfinite(code[first]):
+                    bottom = rows.index(int(code[first])) - 0.4 + k * height
+                    axes.broken_barh([(start, max(end - start, 0.0))], (bottom, height), color=line.stroke["color"])
+        marks.name_rows(axes, [limits[row] for row in rows])
+
+    shares = "; ".join(
+        f"{line.label}: {limits[row]} {100.0 * float(np.mean(_LIMIT(line.run) == row)):.0f} %"
+        for line in lines
+        for row in rows
+    )
+    panel = _panel("Speed limited by", "", lines, _LIMIT, draw)
+    return replace(panel, description=f"What limits the speed, share of the time. {shares}.")
 
 
 def _steering(lines: Lines) -> Panel:
@@ -273,7 +268,7 @@ def condition_panels(lines: Lines) -> list[Panel]:
         if name not in ENTRIES:
             label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
             draw = partial(_draw_tuning, lines=lines, name=name)
-            panels.append(_panel(data_text(name), label, lines, tuning_signal(name), draw))
+            panels.append(_panel(data_text(name), label, lines, _columns("tuning", name), draw))
     return panels
 
 
@@ -307,25 +302,31 @@ def _friction(lines: Lines) -> Panel:
     return _panel("Road friction", "Friction coefficient (–)", lines, lambda run: run.friction, draw)
 
 
+def _draw_pair(axes: Axes, lines: Lines, solid: str, dotted: str) -> None:
+    """Draw two tuning entries of an MPC, with their key."""
+    _draw_tuning(axes, lines, solid)
+    _draw_tuning(axes, lines, dotted, marks.DOTTED)
+    symbols = {"Np": "$N_p$", "Nc": "$N_c$", "Q": "$Q$", "R": "$R$"}
+    dots = marks.make_stroke(marks.INK, marks.DOTTED)
+    marks.add_line_key(axes, [(symbols[solid], marks.SHARED_STROKE), (symbols[dotted], dots)])
+
+
 def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
 
     def draw(axes: Axes) -> None:
         from matplotlib.ticker import MaxNLocator
 
-        _draw_tuning(axes, lines, "Np")
-        _draw_tuning(axes, lines, "Nc", marks.DOTTED)
+        _draw_pair(axes, lines, "Np", "Nc")
         axes.set_ylim(0.0, top)
         axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=marks.TICK_STEPS))
-        marks.add_line_key(
-            axes, [("$N_p$", marks.SHARED_STROKE), ("$N_c$", marks.make_stroke(marks.INK, marks.DOTTED))]
-        )
 
-    return _panel("Horizons", "Control periods (–)", lines, tuning_signal("Nc", "Np"), draw)
+    return _panel("Horizons", "Control periods (–)", lines, _columns("tuning", "Nc", "Np"), draw)
 
 
 def _weights(lines: Lines) -> Panel:
-    weights = np.concatenate([tuning_signal("Q", "R")(line.run).ravel() for line in lines])
+    values = _columns("tuning", "Q", "R")
+    weights = np.concatenate([values(line.run).ravel() for line in lines])
     positive = weights[weights > 0.0]
     limits = None
     if positive.size:
@@ -333,22 +334,10 @@ def _weights(lines: Lines) -> Panel:
         limits = portable.power(10.0, float(low)), portable.power(10.0, float(high))
 
     def draw(axes: Axes) -> None:
-        _draw_tuning(axes, lines, "Q")
-        _draw_tuning(axes, lines, "R", marks.DOTTED)
+        _draw_pair(axes, lines, "Q", "R")
         marks.set_log_scale(axes, "y", limits)
-        marks.add_line_key(axes, [("$Q$", marks.SHARED_STROKE), ("$R$", marks.make_stroke(marks.INK, marks.DOTTED))])
 
-    return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuning_signal("Q", "R"), draw)
-
-
-def tuning_signal(*names: str) -> RunSignal:
-    """A function that returns tuning entries of a run, (n,) or (names, n); NaN where its controller has none."""
-
-    def values(run: Trajectory) -> Array:
-        entries = [run.tuning.get(name, np.full(len(run), np.nan)) for name in names]
-        return entries[0] if len(entries) == 1 else np.stack(entries)
-
-    return values
+    return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, values, draw)
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
@@ -446,48 +435,43 @@ def _extent(values: Array) -> tuple[float, float] | None:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def speed_picture(
-    scenarios: Mapping[str, Runs], line_styles: Mapping[str, marks.Stroke] | None = None, caption: str = ""
-) -> Picture:
+_REFERENCE = ("Reference", marks.REFERENCE_STROKE)
+
+
+def _key(lines: Iterable[DrawnRun]) -> list[tuple[str, marks.Stroke]]:
+    return [(line.label, line.stroke) for line in lines]
+
+
+def speed_picture(scenarios: Mapping[str, Runs], strokes: Strokes | None = None, caption: str = "") -> Picture:
     """Fig. 6: the speed profile of each scenario (dashed), and the speeds that were driven."""
-    line_styles = line_styles or marks.strokes(label for runs in scenarios.values() for label in runs)
-    lines = {name: prepare_runs(runs, line_styles) for name, runs in scenarios.items()}
+    strokes = strokes or marks.strokes(label for runs in scenarios.values() for label in runs)
+    lines = {name: prepare_runs(runs, strokes) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
-    key = {"Profile": marks.REFERENCE_STROKE} | {line.label: line.stroke for group in lines.values() for line in group}
+    key = {"Profile": marks.REFERENCE_STROKE} | dict(_key(line for group in lines.values() for line in group))
     return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
 
 
-def tracking_picture(
-    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "tracking", caption: str = ""
-) -> Picture:
+def tracking_picture(runs: Runs, strokes: Strokes | None = None, name: str = "tracking", caption: str = "") -> Picture:
     """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
-    lines = prepare_runs(runs, line_styles)
-    key = [("Reference", marks.REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
-    columns = 1 if any(run.road for run in runs.values()) else 2
-    return Picture(
-        name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=1.7 if columns == 1 else 2.25
-    )
+    lines = prepare_runs(runs, strokes)
+    columns, height = (1, 1.7) if any(run.road for run in runs.values()) else (2, 2.25)
+    key = [_REFERENCE, *_key(lines)]
+    return Picture(name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=height)
 
 
-def speed_control_picture(
-    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "speed-control"
-) -> Picture:
+def speed_control_picture(runs: Runs, strokes: Strokes | None = None, name: str = "speed-control") -> Picture:
     """`speed_control_panels` over the station along a road."""
-    lines = prepare_runs(runs, line_styles)
-    key = [("Reference", marks.REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
-    caption = (
-        "Speed control: speeds, longitudinal acceleration, used grip, assumed friction, and what limits the speed."
-    )
-    return Picture(name, caption, speed_control_panels(lines), key, f"{name}.png", 1, row_height=1.7)
+    lines = prepare_runs(runs, strokes)
+    key = [_REFERENCE, *_key(lines)]
+    return Picture(name, "", speed_control_panels(lines), key, f"{name}.png", 1, row_height=1.7)
 
 
 def conditions_picture(
-    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "conditions", caption: str = ""
+    runs: Runs, strokes: Strokes | None = None, name: str = "conditions", caption: str = ""
 ) -> Picture:
     """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, as far as the runs have them."""
-    lines = prepare_runs(runs, line_styles)
-    key = [(line.label, line.stroke) for line in lines]
-    return Picture(name, caption, condition_panels(lines), key, f"{name}.png")
+    lines = prepare_runs(runs, strokes)
+    return Picture(name, caption, condition_panels(lines), _key(lines), f"{name}.png")
 
 
 # -- learned quantities -----------------------------------------------------------------------------------------------
@@ -535,9 +519,7 @@ def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
     return learned
 
 
-def learned_picture(
-    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "learned"
-) -> Picture:
+def learned_picture(runs: Runs, strokes: Strokes | None = None, name: str = "learned") -> Picture:
     """Draw the learned quantities over time with their standard deviation and, in simulation, their true values.
 
     Raises
@@ -545,20 +527,17 @@ def learned_picture(
     InvalidInput
         When no controller learns.
     """
-    lines = prepare_runs(runs, line_styles)
-    learned = {line.label: learned_quantities(line.run) for line in lines}
-    learners = [line for line in lines if learned[line.label]]
+    learners = [(line, learned) for line in prepare_runs(runs, strokes) if (learned := learned_quantities(line.run))]
     if not learners:
         raise InvalidInput("a picture of learned quantities needs a controller that learns: MPC(car, learning=...).")
     panels = []
     for quantity in DRAWN:
         title, label, unit = LABELS[quantity]
-        curves = [(line, learned[line.label][quantity]) for line in learners]
+        curves = [(line, learned[quantity]) for line, learned in learners]
         ends = [f"{line.label}: {learnt.mean[-1]:.3g} {unit} at the end" for line, learnt in curves]
         panels.append(Panel(title, partial(_draw_learned, curves=curves, label=label), "; ".join(ends)))
-    caption = "Quantities learned while driving. Band: ± one standard deviation. Dashed: true value in the simulation."
-    key = [*((line.label, line.stroke) for line in learners), ("True value", marks.REFERENCE_STROKE)]
-    return Picture(name, caption, panels, key, f"{name}.png", row_height=1.9)
+    key = [*_key(line for line, _ in learners), ("True value", marks.REFERENCE_STROKE)]
+    return Picture(name, "", panels, key, f"{name}.png", row_height=1.9)
 
 
 def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: str) -> None:

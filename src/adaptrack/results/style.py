@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import string
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from matplotlib.ticker import AutoLocator, MaxNLocator
 from adaptrack.base.presentation import printable
 from adaptrack.base.result import Panel, Picture
 from adaptrack.results.marks import INK, MUTED, PALE, SERIES, TICK_STEPS, Stroke
-from adaptrack.results.words import data_text, lettered, plain
+from adaptrack.results.words import data_text, plain
 
 _THEME = {INK: "ink", MUTED: "muted", PALE: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
 """The CSS variable behind each colour that a page may redefine."""
@@ -224,7 +225,8 @@ def print_figure(picture: Picture) -> Figure:
         figure = ShownFigure(figsize=(PAGE_WIDTH, picture.row_height * sum(heights)))
         axes = list(figure.subplots(rows, columns, squeeze=False, height_ratios=heights).flat)
         for i, panel in enumerate(panels):
-            _show(axes[i], panel, panel.title if len(panels) == 1 else lettered(i, panel.title))
+            letter = "" if len(panels) == 1 else f"({string.ascii_lowercase[i]})"
+            _show(axes[i], panel, f"{letter} {panel.title}".strip())
         _share_labels(axes[: len(panels)], columns)
         for spare in axes[len(panels) :]:
             spare.remove()

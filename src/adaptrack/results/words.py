@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -65,12 +65,6 @@ def entry(value: Any, column: Column) -> str:
     return number(value, column.show)
 
 
-def ratio_with_interval(row: Mapping[str, Any], noun: str = "") -> str:
-    """A comparison's row: cost over the reference's, a noun, and the 95 % interval in brackets."""
-    low, mean, high = (number(row[f"regret_{name}"]) for name in ("low", "geomean", "high"))
-    return f"{mean}{noun} ({low} to {high})"
-
-
 def scientific(value: float) -> str:
     """A power of ten with two digits, for what spans many decades; a dash for NaN, an exact zero as 0."""
     if not math.isfinite(value) or value == 0.0:
@@ -120,11 +114,6 @@ def few(names: Iterable[str], noun: str, most: int = 3) -> str:
 def counted(n: int, noun: str) -> str:
     """A number with its noun: 1 drive, 300 drives."""
     return f"{number(n)} {noun}{'' if n == 1 else 's'}"
-
-
-def lettered(i: int, title: str = "") -> str:
-    """The title of panel `i` of a printed figure: (a) Speed."""
-    return f"({'abcdefghijklmnopqrstuvwxyz'[i]}) {title}".strip()
 
 
 def plain(label: str) -> str:
