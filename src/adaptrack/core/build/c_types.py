@@ -167,8 +167,6 @@ def parts_of(kind: Any) -> Iterator[Any]:
         yield kind.of
         if kind.ndim > 1:
             yield kind.row
-        if kind.ndim == 2 and kind.of == DOUBLE:
-            yield ArrayOf(DOUBLE, 1, True)
     elif isinstance(kind, RecordOf):
         for name, field in kind.fields.items():
             yield field.of if kind.is_embedded(name) else field
@@ -190,7 +188,7 @@ def add_with_parts(kind: Any, kinds: dict[Any, None]) -> None:
 def definition(kind: Any) -> str:
     """The struct of a type, and the functions of an array; empty for a number."""
     if isinstance(kind, ArrayOf):
-        return _column() if kind.is_strided else _array(kind)
+        return "" if kind.is_strided else _array(kind)
     if isinstance(kind, RecordOf):
         return record_struct(kind)
     if isinstance(kind, TupleOf):
@@ -273,15 +271,6 @@ INLINED {c} {name}_slice({c} x, int64_t begin, int64_t end) {{
 }}
 """
     return text
-
-
-def _column() -> str:
-    return """struct column {
-    double *data;
-    int64_t size[1];
-    int64_t stride;
-};
-"""
 
 
 _RESERVED = frozenset(

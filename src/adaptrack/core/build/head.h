@@ -147,6 +147,12 @@ INLINED int64_t checked_span(int64_t i, int64_t count, int64_t size) {
 }
 #endif
 
+/* a column of a matrix, whose numbers lie a row apart */
+struct column {
+    double *data;
+    int64_t size[1];
+    int64_t stride;
+};
 /* a number of a column of a matrix; the last one for the rows behind it */
 INLINED double row_at(const double *p, int64_t width, int64_t last, int64_t row, int64_t j) {
     return p[(row < last ? row : last) * width + j];

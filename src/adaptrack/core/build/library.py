@@ -64,13 +64,13 @@ def build(processors: list[str], variant: str = "", sources: Path | None = None)
         name = f"{processor}-{variant}" if variant else processor
         with tempfile.TemporaryDirectory(dir=library.BUILT_FOLDER) as workshop:
             linked = Path(workshop) / "kernels.dll"  # Windows knows a library by the name under which it was linked
-            how = _make_library(processor.removesuffix("-page"), files, exports, variant, linked)
+            summary = _make_library(processor.removesuffix("-page"), files, exports, variant, linked)
             digest = hashlib.sha256(linked.read_bytes()).hexdigest()
             ending = "wasm" if processor.startswith("wasm") else "so"
             path = library.BUILT_FOLDER / f"kernels-{name}-{digest[:12]}.{ending}"
             os.replace(linked, path)
         entries[name] = {"file": path.name, "sha256": digest}
-        report(f"{path.name}: {path.stat().st_size // 1000} kB; {how}")
+        report(f"{path.name}: {path.stat().st_size // 1000} kB; {summary}")
     names = {name: sources_of(Path(kernel.function.__code__.co_filename)) for name, kernel in kernels.items()}
     if library.source_hashes.__wrapped__() != hashes:
         raise CompileError("the sources were edited while they were compiled: run it again")

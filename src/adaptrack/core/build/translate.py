@@ -59,10 +59,10 @@ from .values import (
     is_number,
     is_row_of_numbers,
     join_kinds,
-    known,
     literal,
     loaded,
     place_of,
+    static_part,
 )
 
 
@@ -654,7 +654,7 @@ class Translation:
     def parts(self, result: Operand) -> list[Operand]:
         """The elements of a tuple, the fields of a record, the sizes of an array."""
         if isinstance(result, StaticValue):
-            return [known(part) for part in result.value]
+            return [static_part(part) for part in result.value]
         kind = result.kind
         if isinstance(kind, TupleOf):
             result = self.hold(result)
@@ -841,7 +841,7 @@ class Translation:
             results = [self.expression(index) for index in indices]
             if all(isinstance(result, StaticValue) for result in results):
                 at = tuple(result.value for result in results)  # type: ignore[union-attr]
-                return known(owner.value[at if len(at) > 1 else at[0]])
+                return static_part(owner.value[at if len(at) > 1 else at[0]])
             if is_row_of_numbers(owner.value):
                 owner = StaticValue(np.array(owner.value))
             owner = self.value(owner)
@@ -1130,13 +1130,9 @@ def _to_bits(translation: Translation, results: list[Operand]) -> Value:
 def _length(translation: Translation, results: list[Operand]) -> Operand:
     (result,) = results
     assert isinstance(result, Value)
-    kind = result.kind
-    if isinstance(kind, ArrayOf):
+    if isinstance(result.kind, ArrayOf):
         return Value(translation.hold(result).size(0), INT64)
-    if isinstance(kind, TupleOf):
-        return StaticValue(len(kind.of))
-    record = kind.record if isinstance(kind, PlaceOf) else kind
-    return StaticValue(len(record.kind._fields))
+    return StaticValue(len(translation.parts(result)))
 
 
 FUNCTIONS: dict[Any, Any] = {

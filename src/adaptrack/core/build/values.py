@@ -52,11 +52,11 @@ class Value:
 
     @property
     def data(self) -> str:
-        """Of an array: the place of its first number."""
+        """The place of the first number of an array."""
         return self.embedded[0] or f"{self.text}.data"
 
     def size(self, dimension: int) -> str:
-        """Of an array: the size of a dimension."""
+        """The size of a dimension of an array."""
         return str(self.embedded[1][dimension]) if self.embedded[0] else f"{self.text}.size[{dimension}]"
 
 
@@ -79,7 +79,7 @@ class StaticValue:
 Operand = Value | StaticValue
 
 
-def known(value: Any) -> Operand:
+def static_part(value: Any) -> Operand:
     """A part of a known value; an expression is itself."""
     return value if isinstance(value, Value) else StaticValue(value)
 
