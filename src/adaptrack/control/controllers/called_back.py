@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from adaptrack.control.controllers.base import Command, Controller, command_of, step_call
 from adaptrack.core.controllers.part import COMMON_ANSWER, controller_part
 from adaptrack.core.estimators.learning import BELIEF_NAMES
-from adaptrack.core.kernel import address_of
 from adaptrack.core.member import CallBack
 
 Array = NDArray[np.float64]
@@ -26,7 +25,7 @@ def python_part(controller: Controller | None, step: CallBack | None, request: C
     learns = controller is not None and controller.learner is not None
     part = controller_part(
         controller, 1, {"answer": len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0)},
-        request=address_of(request), step=address_of(step), beliefs=len(COMMON_ANSWER) if learns else 0,
+        request=request, step=step, beliefs=len(COMMON_ANSWER) if learns else 0,
     )  # fmt: skip
     if controller is None:
         return part

@@ -37,7 +37,6 @@ from __future__ import annotations
 import math
 
 from ..kernel import (
-    Row,
     columns,
     exported,
     float64,
@@ -181,9 +180,9 @@ def _move(f, z):
         z[i] = total(mul(load(f, i, 0), before))
 
 
-@exported(void(float64, Row(FilterParameters), Row(Memory)))
+@inlined
 def _form(speed, p, m):
-    """Everything that depends on the speed alone."""
+    """Write everything that depends on the speed alone."""
     path.discretise_disturbed(speed, p.period, p.model, m.F, m.b)
     if p.share > 0.0:
         f = _rows()
