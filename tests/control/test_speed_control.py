@@ -26,6 +26,7 @@ from adaptrack.core.kernel import direct
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed import speed_control as kernel
 from adaptrack.core.speed.speed_control import slope_of
+from adaptrack.core.speed.stops import STOP_TOLERANCE
 from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.core.tracker.step import tracker_step
@@ -645,7 +646,7 @@ def test_a_car_that_creeps_against_its_brakes_is_held_within_the_tolerance_of_it
     places = [place for request, _, place in _drive(car, controller, 900) if request.state is SpeedState.STOPPED]
     assert len(places) > 300
     assert car.v == 0.0
-    assert np.abs(np.array(places) - 60.0).max() < kernel.STOP_TOLERANCE
+    assert np.abs(np.array(places) - 60.0).max() < STOP_TOLERANCE
 
 
 def test_a_measured_grade_serves_as_well_as_one_that_the_path_knows() -> None:

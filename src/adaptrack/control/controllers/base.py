@@ -22,7 +22,7 @@ from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.controllers.law import law_controller
 from adaptrack.core.controllers.part import COMMON_ANSWER, controller_part
 from adaptrack.core.estimators.learning import BELIEF_NAMES
-from adaptrack.core.kernel import address_of, row_of
+from adaptrack.core.kernel import row_of
 from adaptrack.core.member import CallBack
 from adaptrack.core.synthesis import laws
 from adaptrack.road.road_ahead import RoadAhead, straight
@@ -520,7 +520,7 @@ def python_part(controller: Controller | None, step: CallBack | None, request: C
     learns = controller is not None and controller.learner is not None
     part = controller_part(
         controller, 1, {"answer": len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0)},
-        request=address_of(request), step=address_of(step), beliefs=len(COMMON_ANSWER) if learns else 0,
+        request=request, step=step, beliefs=len(COMMON_ANSWER) if learns else 0,
     )  # fmt: skip
     if controller is None:
         return part

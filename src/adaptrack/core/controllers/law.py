@@ -60,13 +60,9 @@ def law_controller(slots: int, law: Any, has_vy: bool = True) -> Any:
         "law_memory": law.memory_size, "law_answer": 1 + len(diagnostics),
     }  # fmt: skip
     part = controller_part(
-        law, slots, sizes, law.packed_tuning(), begin=address_of(begin_law), request=address_of(request_of_law),
-        step=address_of(step_law),
-    )  # fmt: skip
+        law, slots, sizes, law.packed_tuning(), begin=begin_law, request=request_of_law, step=step_law
+    )
     part.law.parameters[:] = parameters
-    return part._replace(
-        law=part.law._replace(
-            function=address_of(law.function), held=1 + diagnostics.index("held") if "held" in diagnostics else 0,
-            preview=int(law.preview), has_vy=int(has_vy),
-        ),
-    )  # fmt: skip
+    held = 1 + diagnostics.index("held") if "held" in diagnostics else 0
+    own = {"function": address_of(law.function), "held": held, "preview": int(law.preview), "has_vy": int(has_vy)}
+    return part._replace(law=part.law._replace(**own))

@@ -6,7 +6,6 @@ from typing import Any
 
 from ..kernel import (
     Place,
-    address_of,
     columns,
     exported,
     float64,
@@ -85,10 +84,10 @@ def step_mpc(slot, speed, command, station, road, measured, reference, speeds, r
 
 def mpc_controller(controller: Any, mpc: Any) -> Any:
     """A `part.ControllerPart` of an `MPC` with the record of a batch (`mpc.batch`), before its first step."""
+    beliefs = len(batch.MPC_ANSWER) if mpc.settings.learns else 0
     return controller_part(
-        controller, len(mpc.memory), {"answer": mpc.answer.shape[1]}, controller.packed_tuning(),
-        begin=address_of(begin_mpc), request=address_of(request_of_mpc), step=address_of(step_mpc),
-        beliefs=len(batch.MPC_ANSWER) if mpc.settings.learns else 0, plans=1, mpc=mpc, functions=controller.functions,
+        controller, len(mpc.memory), {"answer": mpc.answer.shape[1]}, controller.packed_tuning(), begin=begin_mpc,
+        request=request_of_mpc, step=step_mpc, beliefs=beliefs, plans=1, mpc=mpc, functions=controller.functions,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..kernel import Caller, Place, columns, float64, inlined, int64, matrix, record, vector, void
+from ..kernel import Caller, Place, address_of, columns, float64, inlined, int64, matrix, record, vector, void
 from ..layout import allocate
 from ..roads.road import Roads
 from ..scheduling.schedule import ScheduleRecord, begin_schedule, schedule
@@ -100,17 +100,21 @@ def complete_controller_sizes(sizes):
     sizes.answer = max(sizes.answer, sizes.mpc.answers)
 
 
-def controller_part(controller: Any, slots: int, sizes: Mapping[str, int], tuning: Any = (), **values: Any) -> Any:
+def controller_part(
+    controller: Any, slots: int, sizes: Mapping[str, int], tuning: Any = (), begin: Any = None, request: Any = None,
+    step: Any = None, **values: Any,
+) -> Any:  # fmt: skip
     """A `ControllerPart` of a controller for `slots` slots before its first step, with what all controllers have.
 
     controller: of `adaptrack.control`, None: the caller of the loop; sizes: of its arrays, by their names in
-    `ControllerSizes`; values: other fields.
+    `ControllerSizes`; begin, request, step: kernels, None: the caller of the loop does it; values: other fields.
     """
     (row,) = ControllerSizes.new(1, slots=slots, tuning=len(tuning), **sizes)
     row.mpc.slots = slots
     complete_controller_sizes(row)
     takes_late = -1 if controller is None else controller.takes_late
-    part = allocate(ControllerPart, row, takes_late=takes_late, **values)
+    begin, request, step = address_of(begin), address_of(request), address_of(step)
+    part = allocate(ControllerPart, row, begin=begin, request=request, step=step, takes_late=takes_late, **values)
     part.tuning[:], part.first_tuning[:] = tuning, tuning
     return part
 

@@ -38,7 +38,6 @@ import math
 
 from ..kernel import (
     Field,
-    Row,
     columns,
     exported,
     float64,
@@ -183,9 +182,9 @@ def _move(f, z):
         z[i] = total(mul(load(f, i, 0), before))
 
 
-@exported(void(float64, Row(FilterParameters), Row(Memory)))
+@inlined
 def _form(speed, p, m):
-    """Everything that depends on the speed alone."""
+    """Write everything that depends on the speed alone."""
     path.discretise_disturbed(speed, p.period, p.model, m.F, m.b)
     if p.share > 0.0:
         f = _rows()
