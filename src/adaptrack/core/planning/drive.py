@@ -96,7 +96,7 @@ def reference_ahead(period, reference, change, acceleration):
     The largest |y(t + s) - y(t)|, and the largest second difference of y over the period squared, up to `LOOK_AHEAD`
     from an instant. reference: y (m) at the instants; beyond its end it goes straight on.
     """
-    ahead = max(MIN_INSTANTS, whole((LOOK_AHEAD / period + ROUNDER) - ROUNDER))  # rounded, ties to even
+    ahead = max(MIN_INSTANTS, whole((LOOK_AHEAD / period + ROUNDER) - ROUNDER))
     for k in range(change.size):
         first, second = _reference_at(k, reference), _reference_at(k + 1, reference)
         largest, bend, slope = abs(second - first), 0.0, second - first
