@@ -368,7 +368,7 @@ class Batch:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
         guard_counts = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
-        return BatchRuns(result, _joined(traces, runs) if traces else kernel.no_trace(), guard_counts, segments)
+        return BatchRuns(result, _joined(traces, runs) if traces else kernel.traces(0, 0, 0), guard_counts, segments)
 
 
 def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:

@@ -205,8 +205,7 @@ def compute_metrics(
         prediction_error_half=prediction_errors[0.5],
         prediction_error_one=prediction_errors[1.0],
         cost=motion["mse"] + move_weight * activity if move_weight else motion["mse"],
-        belief_state=last_belief_state(trajectory),
-        **belief_shares(trajectory),
+        **_belief_measures(trajectory),
         **_step_measures(trajectory),
         **({} if record is None or outline is None else _path_measures(record, outline, LANE_WIDTH, STEERING_RATIO)),
     )
@@ -388,21 +387,14 @@ def _path_measures(record: PathRecord, outline: Outline, lane_width: float, stee
 
 
 # -- learning and the paper's numbers ---------------------------------------------------------------------------------
-def belief_shares(trajectory: Trajectory) -> dict[str, Any]:
-    """Return the share of control periods in each learning state by the names of `Metrics`; NaN without learning."""
-    states = trajectory.diagnostics.get("belief_state", _NO_DIAGNOSTIC)
-    states = states[np.isfinite(trajectory.command)] if states.size else states
-    return {f"belief_{state.name.lower()}": _mean(states == state) for state in BeliefState}
-
-
-def last_belief_state(trajectory: Trajectory) -> str:
-    """Return the learning state at the end in words; empty without learning."""
-    commanded_rows = np.flatnonzero(np.isfinite(trajectory.command))
-    diagnostics = trajectory.diagnostics
-    if "belief_state" not in diagnostics or not commanded_rows.size:
-        return ""
-    state, at_bound = (float(diagnostics[name][commanded_rows[-1]]) for name in ("belief_state", "belief_at_bound"))
-    return BeliefState(int(state)).words(bounded_quantity(at_bound))
+def _belief_measures(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the share of periods in each learning state, and the last one in words, by their names in `Metrics`."""
+    if "belief_state" not in trajectory.diagnostics:
+        return {}
+    is_commanded = np.isfinite(trajectory.command)
+    states, bounds = (trajectory.diagnostics[name][is_commanded] for name in ("belief_state", "belief_at_bound"))
+    words = BeliefState(int(states[-1])).words(bounded_quantity(float(bounds[-1]))) if states.size else ""
+    return {f"belief_{state.name.lower()}": _mean(states == state) for state in BeliefState} | {"belief_state": words}
 
 
 @dataclass(frozen=True)

@@ -331,8 +331,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
 
     def _block(self, slots: slice, episode: Episode) -> CarBlock:
         """Return a block of cars with the plant and profile of an episode, which writes to the environment's arrays."""
-        task = self.task
-        roads = range(len(task.roads))
+        task, roads = self.task, range(len(self.task.roads))
         drives = [episode.drive] if task.randomised else [task.drive(i, episode.vehicle) for i in roads]
         batch = Batch(
             episode.plant, self._controller(episode), drives, episode.profile, task.driver, task.failure,  # type: ignore[arg-type]

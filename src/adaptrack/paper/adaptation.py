@@ -336,7 +336,8 @@ class Makers:
         if contender in ("nn", "anfis"):
             return self.learned(contender, as_tuning(schedules["fallback"](ANYWHERE)))
         if contender == "look-up":
-            return self.look_up()
+            nodes = {name: np.linspace(*self.task.box[name], count) for name, count in LOOKUP_NODES.items()}
+            return neighbour_lookup(self.dataset, nodes)
         if contender == "fallback":
             return scheduling.Constant(safe_constant(self.training[2][0], self.stability))
         runs, _ = self.training[1 if contender == "best constant on drives" else 0]
@@ -361,11 +362,6 @@ class Makers:
     def stability(self) -> StabilityMap:
         """The map of the guard."""
         return stability_map(self.task)
-
-    def look_up(self) -> Schedule:
-        """A table over the operating point, as it is made in practice."""
-        nodes = {name: np.linspace(*self.task.box[name], count) for name, count in LOOKUP_NODES.items()}
-        return neighbour_lookup(self.dataset, nodes)
 
     def learned(self, model: str, safe: Tuning) -> Schedule:
         """Networks or fuzzy systems, learned on the closed loop, behind the guard with its fallback."""

@@ -83,7 +83,8 @@ def evaluate_on_drives(
     perception: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` random drives, for each way of knowing friction and wind; the reference is the best constant."""
-    numbers = evaluation_drives(count, seed)
+    first = FIRST_DRIVE + DRIVE_BLOCK * seed
+    numbers = range(first, first + count)
     roads, where = task.plan.setup.vehicle.domain.drive_options, np.array(numbers, dtype=float)[:, None]
     return {
         name: compare(
@@ -123,12 +124,6 @@ def evaluation_points(task: LearningTask, count: int, seed: int) -> Array:
     if first in (getattr(task.plan.config.operating_points, "seed", None), *used):
         raise InvalidInput(f"seed = {seed}: these operating points were learned from: choose another seed.")
     return sobol(count, task.box, seed=first)
-
-
-def evaluation_drives(count: int, seed: int) -> range:
-    """The numbers of the drives of an evaluation."""
-    first = FIRST_DRIVE + DRIVE_BLOCK * seed
-    return range(first, first + count)
 
 
 def _point_contenders(schedules: Schedules, points: Array) -> list[Contender]:

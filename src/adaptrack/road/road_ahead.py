@@ -94,7 +94,7 @@ class RoadAhead:
         speed: m/s, of the model; delay: in periods; period: s; see `core.roads.road.bend_ahead`.
         """
         curvatures = np.zeros(count)
-        kernel.bend_of(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), curvatures)
+        kernel.bend_ahead(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), curvatures)
         return curvatures
 
     def points(self, offsets: Array, speed: float, delay: float, period: float) -> Array:

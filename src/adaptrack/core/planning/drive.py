@@ -28,12 +28,6 @@ RoadDriveRecord = record(
 the world: of each a number for every instant, or one for all."""
 
 
-@inlined
-def _rounded(x):
-    """The whole number nearest to x, |x| < 2^51, ties to even."""
-    return whole((x + ROUNDER) - ROUNDER)
-
-
 @exported(int64(float64, int64, float64))
 def drive_periods(duration, laps, period):
     """How many whole control periods (s) laps of a duration (s) last; their samples are one more."""
@@ -95,12 +89,6 @@ def _reference_at(k, reference):
     return reference[last] + (reference[last] - reference[last - 1] if last > 0 else 0.0) * (k - last)
 
 
-@inlined
-def _instants_ahead(period):
-    """How many instants of a period (s) the scheduling variables look ahead."""
-    return max(MIN_INSTANTS, _rounded(LOOK_AHEAD / period))
-
-
 @exported(void(float64, vector, vector, vector))
 def reference_ahead(period, reference, change, acceleration):
     """Write the scheduling variables `change` (m) and `acceleration` (m/s^2) at the first instants.
@@ -108,7 +96,7 @@ def reference_ahead(period, reference, change, acceleration):
     The largest |y(t + s) - y(t)|, and the largest second difference of y over the period squared, up to `LOOK_AHEAD`
     from an instant. reference: y (m) at the instants; beyond its end it goes straight on.
     """
-    ahead = _instants_ahead(period)
+    ahead = max(MIN_INSTANTS, whole((LOOK_AHEAD / period + ROUNDER) - ROUNDER))
     for k in range(change.size):
         first, second = _reference_at(k, reference), _reference_at(k + 1, reference)
         largest, bend, slope = abs(second - first), 0.0, second - first

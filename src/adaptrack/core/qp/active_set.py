@@ -75,16 +75,22 @@ def _begin(problem, factor, solution, w, guess, is_warm):
     """
     for b in range(0, padded(problem.m), VECTOR_WIDTH):
         store(solution.lam, b, zeros())
-    copy_bounds(problem, w)
     q, finite = 0, True
     if guess > 0:
         q = _take_over(problem, factor, guess, is_warm, w)
         q, finite = _settle(problem, q, solution.x, w)
     if q == 0:
         finite = finite and unconstrained(problem, factor, solution.x, w)
+    _bound_inactive_rows(problem, q, w)
+    return q, finite
+
+
+@inlined
+def _bound_inactive_rows(problem, q, w):
+    """Let all rows count but the active ones, those that were put off included."""
+    copy_bounds(problem, w)
     for i in range(q):
         set_entry(w.bounds, w.index[i], math.inf)
-    return q, finite
 
 
 @inlined
@@ -279,14 +285,6 @@ def _polish_and_release(problem, condition, q, x, w, tolerance, left):
 
 
 @inlined
-def _reconsider(problem, q, w):
-    """Rows that were put off count again."""
-    copy_bounds(problem, w)
-    for i in range(q):
-        set_entry(w.bounds, w.index[i], math.inf)
-
-
-@inlined
 def _distance(problem, factor):
     """How large the minimiser without rows may be, up to a factor n."""
     return trace(problem.n, factor.inverse) * largest_magnitude(problem.n, problem.K)
@@ -356,7 +354,7 @@ def active_set(problem, factor, solution, scratch, guess, is_warm, max_iteration
         elif not polished:
             status, q, left = _polish_and_release(problem, factor.condition, q, x, w, tolerance, left)
             if doubtful:
-                _reconsider(problem, q, w)
+                _bound_inactive_rows(problem, q, w)
             reach = max(1.0, largest_magnitude(n, x))
             polished, doubtful = True, False
             rounds += 1

@@ -400,7 +400,7 @@ def planned_speed(time, speeds, speed, period):
     return max(speeds[at] + (speed - speeds[PRESENT_INSTANT]), 0.0)
 
 
-@inlined
+@exported(void(float64, vector, float64, float64, float64, int64, Place(Roads), vector))
 def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
     """Write how far (m) the road ahead lies to the left of its tangent here: after `delay` periods T, then every T.
 
@@ -423,12 +423,6 @@ def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
         before = after
         if j >= first:
             bend[j - first] = y
-
-
-@exported(void(float64, vector, float64, float64, float64, int64, Place(Roads), vector))
-def bend_of(station, speeds, speed, delay, period, road, roads, bend):
-    """`bend_ahead`, for Python."""
-    bend_ahead(station, speeds, speed, delay, period, road, roads, bend)
 
 
 @exported(void(float64, vector, float64, float64, float64, Centreline, vector, vector))

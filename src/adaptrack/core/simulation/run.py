@@ -203,13 +203,8 @@ def new_run(sizes: dict[str, int], **given: Any) -> Any:
     return allocate(RunRecord, row, **given)
 
 
-def no_trace() -> Any:
-    """No trace."""
-    return traces(0, 0, 0)
-
-
 def traces(slots: int, periods: int, answers: int) -> Any:
-    """Traces before the first instant, NaN, with so many columns of answers."""
+    """Traces before the first instant, NaN, with so many columns of answers; (0, 0, 0): no trace."""
     trace = allocate(Trace, {"traced_slots": slots, "traced": periods, "answers": answers})
     for array in trace:
         array[:] = math.nan
