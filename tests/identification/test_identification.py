@@ -375,24 +375,16 @@ def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
         ("command", 16.0 * 180.0 / math.pi, "--units command=deg --steering-ratio"),
         ("yaw_rate", 180.0 / math.pi, "--units"),
         ("speed", 3.6, "--units speed=km/h"),
+        ("acceleration", -1.0, "--flip acceleration"),
+        ("acceleration", 1.0 / 9.80665, "--units acceleration=g"),
     ],
 )
 def test_a_wrong_sign_or_unit_is_named_with_the_option_that_mends_it(
     log: dict[str, np.ndarray], signal: str, factor: float, remedy: str
 ) -> None:
-    wrong_log = log | {signal: log[signal] * factor}
+    wrong_log = log | {signal: driven(60.0)[signal] * factor}
     with pytest.raises(InvalidInput, match=remedy):
         check_signals(log_of(wrong_log, CAR.wheelbase))
-
-
-@pytest.mark.parametrize(
-    ("factor", "remedy"), [(-1.0, "--flip acceleration"), (1.0 / 9.80665, "--units acceleration=g")]
-)
-def test_a_lateral_acceleration_that_does_not_fit_is_named(factor: float, remedy: str) -> None:
-    drive = driven(40.0)
-    drive["acceleration"] = drive["acceleration"] * factor
-    with pytest.raises(InvalidInput, match=remedy):
-        check_signals(log_of(drive, CAR.wheelbase))
 
 
 def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:

@@ -191,18 +191,20 @@ class InnovationLikelihood(ABC):
 class Likelihood(InnovationLikelihood):
     """Likelihood of a log: innovations and objective at any point z."""
 
-    def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], used: Array | None = None) -> None:
-        """used: (n,) 1 where a sample is taken in and counts; all when left out."""
+    def __init__(
+        self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], used: Array | float = 1.0,
+        gusts: Array | float = 1.0,
+    ) -> None:  # fmt: skip
+        """used: (n,) 1 where a sample is taken in and counts; gusts: (n,) factor on the spread of the wind's noise."""
         super().__init__(log.time, log.begins, beliefs)
-        self._kernel, self.log, self.car, self.tightest = kernel, log, car, log.tightest
+        self.log, self.car, self.tightest = log, car, log.tightest
         rows = np.zeros((len(kernel.LOG_ROW), log.samples))
         for name in ("time", "command", "speed", *MEASURED_OUTPUTS):
             rows[kernel.LOG_ROW._fields.index(name)] = getattr(log, name)
         rows[kernel.LOG_ROW.begins] = log.begins
-        rows[kernel.LOG_ROW.used] = 1.0 if used is None else used
-        self._rows = rows
+        rows[kernel.LOG_ROW.used], rows[kernel.LOG_ROW.gusts] = used, gusts
+        self._rows, self._gusts = rows, rows[kernel.LOG_ROW.gusts]
         self._answer = np.empty((kernel.IDENTIFICATION_ANSWER, log.samples))
-        rows[kernel.LOG_ROW.gusts] = 1.0
         present = np.array([np.isfinite(getattr(log, name)).any() for name in MEASURED_OUTPUTS])
         self.present = {name: bool(is_present) for name, is_present in zip(MEASURED_OUTPUTS, present, strict=True)}
         measured = np.isfinite(rows[kernel.LOG_ROW.yaw_rate : kernel.LOG_ROW.yaw_rate + len(MEASURED_OUTPUTS)])
@@ -243,7 +245,7 @@ class Likelihood(InnovationLikelihood):
             "push_time": PUSH_TIME, "wind_rise": value["wind_smoothness"] * value["wind_time"],
         }  # fmt: skip
         values_by_name = value | derived
-        return np.array([values_by_name[name] for name in self._kernel.Quantities._fields])
+        return np.array([values_by_name[name] for name in kernel.Quantities._fields])
 
     @property
     def reported(self) -> list[Reported]:
@@ -277,20 +279,18 @@ class Likelihood(InnovationLikelihood):
 
     def innovations(self, z: Array) -> tuple[Array, Array]:
         """All innovations and variances, each (len(MEASURED_OUTPUTS), n), NaN where nothing is measured."""
-        self._kernel.innovations(self.packed(self.values(z)), self._rows, self._answer)
+        kernel.innovations(self.packed(self.values(z)), self._rows, self._answer)
         count = len(MEASURED_OUTPUTS)
         return self._answer[:count].copy(), self._answer[count : 2 * count].copy()
 
     def filter_results(self, z: Array) -> dict[str, Array]:
         """Filter results at each sample, by the names of the kernel's `FOUND`."""
         self.innovations(z)
-        return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(MEASURED_OUTPUTS) :].copy(), strict=True))
+        return dict(zip(kernel.FOUND._fields, self._answer[2 * len(MEASURED_OUTPUTS) :].copy(), strict=True))
 
     def using(self, used: Array) -> Likelihood:
         """A likelihood with these beliefs and gusts, and a selection of samples; used: (n,) 1 where one counts."""
-        other = Likelihood(self.log, self.car, self.beliefs, used)
-        other._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts]
-        return other
+        return Likelihood(self.log, self.car, self.beliefs, used, self._gusts)
 
     def widen_gusts(self, z: Array) -> Array:
         """Keep the wind's spread at `WIDER` times that of a point; the point there.
@@ -311,7 +311,7 @@ class Likelihood(InnovationLikelihood):
         change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
         power = window_mean(time, change * change, GUST_WINDOW)
         level = power / max(float(np.mean(power)), 1e-12)
-        self._rows[self._kernel.LOG_ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
+        self._gusts[:] = np.sqrt(np.maximum(level, LEAST_GUSTS))
 
     @property
     def beliefs(self) -> dict[str, Prior]:
@@ -323,9 +323,7 @@ class Likelihood(InnovationLikelihood):
         """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
         begins = self.log.begins[rows].copy()
         begins[0] = True
-        part = Likelihood(self.log.at(rows, begins), self.car, self.beliefs)
-        part._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts, rows]
-        return part
+        return Likelihood(self.log.at(rows, begins), self.car, self.beliefs, gusts=self._gusts[rows])
 
 
 def smooth_wheel(log: Log) -> Array:

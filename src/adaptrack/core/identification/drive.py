@@ -38,7 +38,7 @@ SPEED_ERROR = 0.005
 
 
 @inlined
-def _respond(response, lag, dead_time, sign, acting, start, h, log):
+def _respond(response, lag, dead, sign, acting, start, h, log):
     """Response (m/s^2) of an actuator to the requests of its sign over h (s) from a start (s): at the end, and mean.
 
     acting: row of the request that acts at the start; the one that acts at the end is returned first.
@@ -47,14 +47,12 @@ def _respond(response, lag, dead_time, sign, acting, start, h, log):
     actuator = ForceActuator(0, 0.0, max(lag, 1e-4), math.inf, 1.0, math.inf)
     while at < until:
         while (
-            acting < last
-            and log[DRIVE_ROW.begins, acting + 1] <= 0.0
-            and log[DRIVE_ROW.time, acting + 1] + dead_time <= at
+            acting < last and log[DRIVE_ROW.begins, acting + 1] <= 0.0 and log[DRIVE_ROW.time, acting + 1] + dead <= at
         ):
             acting += 1
         end = until
         if acting < last and log[DRIVE_ROW.begins, acting + 1] <= 0.0:
-            end = min(until, log[DRIVE_ROW.time, acting + 1] + dead_time)
+            end = min(until, log[DRIVE_ROW.time, acting + 1] + dead)
         target = max(sign * log[DRIVE_ROW.request, acting], 0.0)
         response, mean = force_response(response, target, end - at, actuator)
         impulse += mean * (end - at)

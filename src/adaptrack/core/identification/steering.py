@@ -275,8 +275,7 @@ def _steer(q, log, acting, angle, dead, start, h):
 
     The row that acts at the end, the angle (rad) there, the mean angle (rad) and the rate (rad/s) of the straight line.
     """
-    last, until = log.shape[1] - 1, start + h
-    lag, rate = max(q.lag, 1e-4), q.rate
+    last, until, lag, rate = log.shape[1] - 1, start + h, max(q.lag, 1e-4), q.rate
     area, moment, at = 0.0, 0.0, start
     while at < until:
         while acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0 and log[LOG_ROW.time, acting + 1] + dead <= at:

@@ -14,7 +14,7 @@ from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, int64, vector, void
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2
-from .hypotheses import COMPARED, MISTAKES, SUBJECTS
+from .hypotheses import COMPARED, LOOKS, MISTAKES, SUBJECTS, compare
 from .motion import compare_course, compare_forward, compare_sideways, judge_sliding
 from .pose import begin_pose, compare_pose
 from .record import (
@@ -35,7 +35,6 @@ from .record import (
     report,
     settings_of,
 )
-from .regression import LOOKS, compare
 from .requests import advance_requests
 from .turning import compare_clocks, compare_pull, compare_steering, compare_turn
 
@@ -179,18 +178,13 @@ def _compare_positions(start, turning, memory, settings):
     if not (math.isfinite(aside) and far > 1.0):
         return math.nan
     if abs(aside) < 0.3 or memory.agreed == 0:
-        _compare_way(far, way, last[T.speed] - first[T.speed], last[T.time], memory)
+        change = last[T.speed] - first[T.speed]
+        label = compare(memory, COMPARED.way, way, change, 0.0, far, POSITION, last[T.time])
+        if label > 0:
+            report(memory, label - 1, far / max(way, 1e-9), 0.0, 0.0)
     compare_course(aside, course, yaw, far, turning / time, memory, settings)
     compare_sideways(aside, far, time, turning / time, sideways / time, memory, settings)
     return aside
-
-
-@inlined
-def _compare_way(far, way, change, time, memory):
-    """Compare the way of positions with that by the speed."""
-    label = compare(memory, COMPARED.way, way, change, 0.0, far, POSITION, time)
-    if label > 0:
-        report(memory, label - 1, far / max(way, 1e-9), 0.0, 0.0)
 
 
 # -- calls ------------------------------------------------------------------------------------------------------------

@@ -1,8 +1,12 @@
-"""The comparisons of inputs, their hypotheses, and the mistakes that these recognise: the tables of the check.
+"""Mistakes of inputs, the hypotheses that recognise them, and one weighted regression that judges every comparison.
 
 A comparison is a regression y = b1 x1 + b2 x2 + b3 x3 + intercept. Some have alternatives, whose regressors differ:
 delays of the steering, or shifts of a clock. A hypothesis is a triple (b1, b2, b3) and the alternatives that it is for;
 it is honest, or belongs to a mistake. The checks of logs name the same mistakes (`identification.hypotheses`).
+
+Each window adds the products of its regressors, divided by its noise, to a Gram matrix; old windows are forgotten. From
+it follows the squared misfit of any hypothesis. A mistake is reported when it explains the windows better than every
+honest value, by a multiple of twice the logarithm of the likelihood ratio (A. Wald, *Sequential Analysis*, 1947).
 
 To recognise a further mistake, add it to `MISTAKE_TABLE`, and its hypotheses to those of a comparison.
 """
@@ -15,7 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..kernel import columns
+from ..kernel import columns, inlined, local
+from ..maths.bits import whole
+from ..maths.exact import clip
+from ..maths.exponential import exp
 
 
 class Mistake(NamedTuple):
@@ -43,31 +50,23 @@ def _mistakes(subject, evidence, *rows):
     return [Mistake(name, subject, evidence, *words) for name, *words in rows]
 
 
-_LEFT, _METRES = "give it positive to the left", "give m/s^2"
+_LEFT, _METRES, _STAMPS = "give it positive to the left", "give m/s^2", "give each the time at which it was taken"
 _CLOCKS_DIFFER = "their clocks differ by some 0.2 s, or one of them is late"
-_STAMPS = "give each the time at which it was taken"
 _TOO_LARGE = "the command seems to be sent in degrees, or at the steering wheel"
 _ACTUATOR = "give the actuator radians at the road wheels"
 MISTAKE_TABLE = (
-    *_mistakes(
-        "time", "t: calls are {0:.3g} s apart by it, and the car moves {1:.2g} m at {2:.3g} m/s",
+    *_mistakes("time", "t: calls are {0:.3g} s apart by it, and the car moves {1:.2g} m at {2:.3g} m/s",
         ("time_in_milliseconds", "the time is in milliseconds", "give it in seconds", "--units time=ms"),
         ("time_in_microseconds", "the time is in microseconds", "give it in seconds", "--units time=us"),
-        ("time_in_nanoseconds", "the time is in nanoseconds", "give it in seconds", "--units time=ns"),
-    ),
-    *_mistakes(
-        "speed", "speed: no car drives at {0:.3g} m/s",
-        ("speed_of_no_car", "the speed seems to be in km/h", "give m/s", "--units speed=km/h"),
-    ),
-    *_mistakes(
-        "speed", "speed: the positions move at {0:.2f} times the speed",
+        ("time_in_nanoseconds", "the time is in nanoseconds", "give it in seconds", "--units time=ns")),
+    *_mistakes("speed", "speed: no car drives at {0:.3g} m/s",
+        ("speed_of_no_car", "the speed seems to be in km/h", "give m/s", "--units speed=km/h")),
+    *_mistakes("speed", "speed: the positions move at {0:.2f} times the speed",
         ("speed_in_km_h", "the speed is in km/h", "give m/s", "--units speed=km/h"),
         ("speed_in_miles_h", "the speed is in miles per hour", "give m/s", "--units speed=mph"),
-        ("speed_unit", "the unit of speed or positions is wrong", "give m/s, along the car, and m", "check --units"),
-    ),
+        ("speed_unit", "the unit of speed or positions is wrong", "give m/s, along the car, and m", "check --units")),
     *_mistakes("speed_late", "speed and positions", ("speed_late", _CLOCKS_DIFFER, _STAMPS)),
-    *_mistakes(
-        "course", "yaw and x, y: the direction of motion differs from yaw by {0:.0f} degrees",
+    *_mistakes("course", "yaw and x, y: the direction of motion differs from yaw by {0:.0f} degrees",
         ("yaw_in_degrees", "yaw is in degrees", "give it in radians", "--units yaw=deg"),
         ("y_mirrored", "y is mirrored against yaw (a left-handed frame, such as NED?)",
          "give x, y, yaw and yaw_rate in axes with y and angles positive to the left"),
@@ -76,89 +75,67 @@ MISTAKE_TABLE = (
         ("yaw_quarter_too_large", "yaw is a quarter of a turn too large", "count it from x"),
         ("yaw_quarter_too_small", "yaw is a quarter of a turn too small", "count it from x"),
         ("yaw_half_turn_off", "yaw is half a turn off", "give the direction of the car's front"),
-        ("frames_differ", "their frames differ", "count yaw from x towards y, in radians"),
-    ),
-    *_mistakes(
-        "course", "yaw: it changes 57 times as much as yaw_rate says",
-        ("yaw_in_degrees_by_its_rate", "yaw is in degrees", "give it in radians", "--units yaw=deg"),
-    ),
+        ("frames_differ", "their frames differ", "count yaw from x towards y, in radians")),
+    *_mistakes("course", "yaw: it changes 57 times as much as yaw_rate says",
+        ("yaw_in_degrees_by_its_rate", "yaw is in degrees", "give it in radians", "--units yaw=deg")),
     *_mistakes("yaw_late", "yaw and yaw_rate", ("yaw_late", _CLOCKS_DIFFER, _STAMPS)),
-    *_mistakes(
-        "yaw_rate", "yaw_rate: over half a second yaw changes by {0:.2g} rad where the yaw rate says {1:.2g} rad",
+    *_mistakes("yaw_rate", "yaw_rate: over half a second yaw changes by {0:.2g} rad, the yaw rate says {1:.2g} rad",
         ("yaw_rate_sign", "the sign of the yaw rate is inverted", _LEFT, "--flip yaw_rate"),
         ("yaw_rate_in_degrees", "the yaw rate is in degrees per second", "give rad/s", "--units yaw_rate=deg/s"),
         ("yaw_rate_unit", "the unit of the yaw rate is wrong", "give rad/s", "check --units"),
-        ("yaw_rate_taken_for_degrees", "the yaw rate is taken for degrees per second", "it is in rad/s"),
-    ),
-    *_mistakes(
-        "lateral", "lateral_velocity: the positions move to the other side",
-        ("lateral_velocity_sign", "the sign of the lateral velocity is inverted", _LEFT, "--flip vy"),
-    ),
-    *_mistakes(
-        "point", "x, y: they move sideways in bends",
+        ("yaw_rate_taken_for_degrees", "the yaw rate is taken for degrees per second", "it is in rad/s")),
+    *_mistakes("lateral", "lateral_velocity: the positions move to the other side",
+        ("lateral_velocity_sign", "the sign of the lateral velocity is inverted", _LEFT, "--flip vy")),
+    *_mistakes("point", "x, y: they move sideways in bends",
         ("position_of_rear_axle", "they are positions of the rear axle",
          "give those of the centre of mass, {0:.2f} m ahead of it"),
         ("position_of_front_axle", "they are positions of the front axle",
-         "give those of the centre of mass, {1:.2f} m behind it"),
-    ),
-    *_mistakes(
-        "pull", "lateral_acceleration: it is {0:.2g} m/s^2 where speed times yaw rate is {1:.2g} m/s^2",
+         "give those of the centre of mass, {1:.2f} m behind it")),
+    *_mistakes("pull", "lateral_acceleration: it is {0:.2g} m/s^2 where speed times yaw rate is {1:.2g} m/s^2",
         ("lateral_acceleration_sign", "the sign of the lateral acceleration is inverted", _LEFT, "--flip acceleration"),
-        ("lateral_acceleration_in_g", "the lateral acceleration is in g", _METRES, "--units acceleration=g"),
-    ),
-    *_mistakes(
-        "wheel", "wheel_angle: it is {0:.2g} rad at a command of {1:.2g} rad",
+        ("lateral_acceleration_in_g", "the lateral acceleration is in g", _METRES, "--units acceleration=g")),
+    *_mistakes("wheel", "wheel_angle: it is {0:.2g} rad at a command of {1:.2g} rad",
         ("wheel_angle_sign", "the sign of the steering or of the wheel angle is inverted",
          "give both positive to the left", "--flip command or --flip wheel"),
         ("wheel_angle_in_degrees", "the wheel angle is in degrees", "give rad", "--units wheel=deg"),
         ("wheel_angle_of_steering_wheel", "the wheel angle is that of the steering wheel",
-         "give that of the road wheels", "--columns steering_wheel=NAME"),
-    ),
-    *_mistakes(
-        "steering", "{steered}: the car turns to the other side",
+         "give that of the road wheels", "--columns steering_wheel=NAME")),
+    *_mistakes("steering", "{steered}: the car turns to the other side",
         ("steering_sign", "the steering sign ({steered}) is inverted, or x, y, yaw, yaw_rate and the path are of a "
          "left-handed frame (such as NED)", "give commands and angles positive to the left",
-         "--flip {steered} or --flip yaw_rate"),
-    ),
-    *_mistakes(
-        "steering", "command: the car hardly turns",
-        ("command_too_small", "the command seems to be taken in degrees, or not at all", _ACTUATOR),
-    ),
+         "--flip {steered} or --flip yaw_rate")),
+    *_mistakes("steering", "command: the car hardly turns",
+        ("command_too_small", "the command seems to be taken in degrees, or not at all", _ACTUATOR)),
     *_mistakes("steering", "command: the car turns many times as much", ("command_too_large", _TOO_LARGE, _ACTUATOR)),
-    *_mistakes(
-        "pose", "x, y: within seconds they moved {0:.2g} m away from where speed and yaw lead",
-        ("position_drifts", "the position drifts or has jumped", "check the localisation"),
-    ),
-    *_mistakes(
-        "pose", "yaw: within seconds it changed by {0:.2g} rad more than yaw_rate says",
-        ("yaw_drifts", "yaw drifts or has jumped", "check the localisation"),
-    ),
-    *_mistakes(
-        "delay", "command: the car turns {0:.2f} s after it",
+    *_mistakes("pose", "x, y: within seconds they moved {0:.2g} m away from where speed and yaw lead",
+        ("position_drifts", "the position drifts or has jumped", "check the localisation")),
+    *_mistakes("pose", "yaw: within seconds it changed by {0:.2g} rad more than yaw_rate says",
+        ("yaw_drifts", "yaw drifts or has jumped", "check the localisation")),
+    *_mistakes("delay", "command: the car turns {0:.2f} s after it",
         ("steering_late", "the specified steering delay of {1:.2f} s is too short",
-         "learn the delay, MPC(..., learning=Learning()), or specify the true one"),
-    ),
-    *_mistakes(
-        "forward", "longitudinal_acceleration: over seconds it is {0:.2g} where the speed changes by {1:.2g} m/s^2",
+         "learn the delay, MPC(..., learning=Learning()), or specify the true one")),
+    *_mistakes("forward", "longitudinal_acceleration: over seconds it is {0:.2g}, the speed changes by {1:.2g} m/s^2",
         ("longitudinal_acceleration_sign", "the sign of the longitudinal acceleration is inverted",
          "give it positive forward", "--flip longitudinal_acceleration"),
         ("longitudinal_acceleration_in_g", "the longitudinal acceleration is in g", _METRES,
          "--units longitudinal_acceleration=g"),
         ("longitudinal_acceleration_with_gravity", "the longitudinal acceleration contains gravity on slopes",
-         "give dv/dt, without gravity", "do not use it as dv/dt"),
-    ),
+         "give dv/dt, without gravity", "do not use it as dv/dt")),
 )  # fmt: skip
 MISTAKE_NAMED = {mistake.name: mistake for mistake in MISTAKE_TABLE}
 MISTAKES = columns(*MISTAKE_NAMED)
 """Bits of `Memory.suspect`: mistakes of the inputs that are recognised."""
 SUBJECTS = columns(*dict.fromkeys(mistake.subject for mistake in MISTAKE_TABLE))
-"""Subjects of mistakes."""
 SUBJECT_OF = tuple(SUBJECTS._fields.index(mistake.subject) for mistake in MISTAKE_TABLE)
 """The subject of each mistake."""
 ABOUT = tuple(
     sum(1 << bit for bit, subject in enumerate(SUBJECT_OF) if subject == place) for place in range(len(SUBJECTS))
 )
 """The bits of each subject."""
+MOTION_BITS = ABOUT[SUBJECTS.speed] | ABOUT[SUBJECTS.course] | ABOUT[SUBJECTS.yaw_rate]
+"""Mistakes that make steering and lateral motion look wrong, too."""
+POSE_BITS = MOTION_BITS | ABOUT[SUBJECTS.speed_late] | ABOUT[SUBJECTS.yaw_late] | ABOUT[SUBJECTS.point]
+"""Mistakes that make a pose look as if it drifted."""
 
 # -- hypotheses -------------------------------------------------------------------------------------------------------
 DEGREE = math.pi / 180.0
@@ -301,4 +278,165 @@ FIRST_GRAM = tuple(itertools.accumulate(GRAMS_OF, initial=0))
 """Where the sums of each comparison's alternatives begin."""
 RULE = columns("overlap", "intercept", "before")
 RULES = np.array([[getattr(comparison, name) for name in RULE._fields] for comparison in COMPARISON_TABLE])
-"""Numbers of each `InputComparison`."""
+
+# -- regression -------------------------------------------------------------------------------------------------------
+MEMORY = 12.0
+"""s, after which a window counts 1/e."""
+LOOKS = 2
+"""Looks in a row at which there must be enough evidence."""
+X1, X2, X3, Y, ONE = range(5)
+REGRESSORS = 5
+LATE_GAINS = 0.6, 1.6
+"""Ratio of the car's turning to that of a steady turn, least and most, where the steering is later than specified."""
+LOOSE = 2.5
+"""How many times wider the intercept is for wheels that are thrown about."""
+
+_square, _window = local(REGRESSORS, REGRESSORS), local(REGRESSORS)
+
+
+@inlined
+def start_window(memory, comparison, time):
+    """Count a window of a comparison; return the share that is left of the earlier ones."""
+    left = exp(-time / MEMORY)
+    memory.seconds[comparison] += time
+    memory.count[comparison] = memory.count[comparison] * left + 1.0
+    return left
+
+
+@inlined
+def add_window(gram, left, weight, x1, x2, x3, y):
+    """Add a window to the sums of one alternative; weight: the inverse of its noise."""
+    window = _window()
+    window[X1], window[X2], window[X3], window[Y], window[ONE] = x1, x2, x3, y, 1.0
+    for i in range(REGRESSORS):
+        for j in range(i, REGRESSORS):
+            gram[i, j] = gram[j, i] = gram[i, j] * left + weight * weight * window[i] * window[j]
+
+
+@inlined
+def _eliminate(square, place, spread):
+    """Fit the coefficient of a regressor, whose prior has the standard deviation spread, whatever the others are."""
+    scale = 1.0 / (square[place, place] + 1.0 / (spread * spread))
+    for i in range(REGRESSORS):
+        for j in range(REGRESSORS):
+            if i != place and j != place:
+                square[i, j] -= square[i, place] * square[place, j] * scale
+
+
+@inlined
+def _reduce(memory, comparison, alternative, square):
+    """Write the sums of an alternative without its intercept and what was before the first command."""
+    gram = memory.grams[FIRST_GRAM[comparison] + alternative]
+    for i in range(REGRESSORS):
+        for j in range(REGRESSORS):
+            square[i, j] = gram[i, j]
+    intercept, before = RULES[comparison, RULE.intercept], RULES[comparison, RULE.before]
+    if before > 0.0:
+        _eliminate(square, X3, before)
+    if intercept > 0.0:
+        _eliminate(square, ONE, intercept * LOOSE if alternative >= THROWN else intercept)
+
+
+@inlined
+def _misfit(square, row):
+    """The squared misfit of a hypothesis."""
+    b1, b2, b3 = HYPOTHESES[row, HYPOTHESIS.b1], HYPOTHESES[row, HYPOTHESIS.b2], HYPOTHESES[row, HYPOTHESIS.b3]
+    return (
+        b1 * (b1 * square[X1, X1] + 2.0 * (b2 * square[X1, X2] + b3 * square[X1, X3] - square[X1, Y]))
+        + b2 * (b2 * square[X2, X2] + 2.0 * (b3 * square[X2, X3] - square[X2, Y]))
+        + b3 * (b3 * square[X3, X3] - 2.0 * square[X3, Y])
+        + square[Y, Y]
+    )
+
+
+@inlined
+def _find_best(memory, comparison, hypotheses):
+    """Squared misfits of the best honest value, noted in `usual`, and of the best mistake, and the row of this."""
+    square = _square()
+    first, end, alternatives = FIRST[hypotheses], FIRST[hypotheses + 1], GRAMS_OF[comparison]
+    honest, best, mistake = math.inf, math.inf, first
+    for alternative in range(alternatives):
+        _reduce(memory, comparison, alternative, square)
+        for row in range(first, end):
+            if not HYPOTHESES[row, HYPOTHESIS.first] <= alternative < HYPOTHESES[row, HYPOTHESIS.end]:
+                continue
+            misfit = _misfit(square, row)
+            if HYPOTHESES[row, HYPOTHESIS.label] > 0.0:
+                if misfit < best:
+                    best, mistake = misfit, row
+            elif misfit < honest:
+                honest, memory.usual[comparison] = misfit, (row - first) * alternatives + alternative
+    return honest, best, mistake
+
+
+@inlined
+def judge(memory, comparison, hypotheses, factor, sure):
+    """Compare all hypotheses; return 1 + the mistake that is now certain, or 0.
+
+    hypotheses: the place of their table in `FIRST`; factor: on the evidence that is needed; sure: whether other
+    measurements point to a mistake, so that `SURE` is enough.
+    """
+    overlap, alternatives, usual = RULES[comparison, RULE.overlap], GRAMS_OF[comparison], memory.usual[comparison]
+    square = _square()
+    _reduce(memory, comparison, usual % alternatives, square)
+    least = SURE if sure else factor * LEAST_EVIDENCE[hypotheses]
+    if _misfit(square, FIRST[hypotheses] + usual // alternatives) < least * overlap:  # no mistake can be better by it
+        memory.repeated[comparison] = 0
+        return memory.label[comparison]
+    honest, best, mistake = _find_best(memory, comparison, hypotheses)
+    label = whole(HYPOTHESES[mistake, HYPOTHESIS.label])
+    sure = sure and label != 1 + MISTAKES.command_too_large
+    enough = SURE if sure else factor * HYPOTHESES[mistake, HYPOTHESIS.evidence]
+    better = (honest - best) / (overlap * max(1.0, best / memory.count[comparison]))
+    memory.repeated[comparison] = memory.repeated[comparison] + 1 if better > enough else 0
+    if memory.repeated[comparison] >= (1 if sure else LOOKS):
+        memory.label[comparison] = label
+    return memory.label[comparison]
+
+
+@inlined
+def honest_misfit(memory, comparison):
+    """Squared misfit of the best honest value of a comparison without alternatives, per independent window."""
+    square = _square()
+    _reduce(memory, comparison, 0, square)
+    return _misfit(square, FIRST[comparison] + memory.usual[comparison]) / RULES[comparison, RULE.overlap]
+
+
+@inlined
+def _least_misfit(memory, alternative, least, most, square):
+    """The squared misfit of an alternative of the steering with the best gain from `least` to `most`."""
+    _reduce(memory, COMPARED.steering, alternative, square)
+    both = square[X1, X2] - square[X1, Y]
+    gain = clip(-both / square[X1, X1], least, most) if square[X1, X1] > 0.0 else 1.0
+    remainder = square[X2, X2] - 2.0 * square[X2, Y] + square[Y, Y]
+    return gain * (gain * square[X1, X1] + 2.0 * both) + remainder
+
+
+@inlined
+def late_steering(memory, lag, latest):
+    """Compare the delays of the steering up to `latest` (s) with longer ones; return the best longer one, 0: none.
+
+    lag: s, that the models of the wheels add to the delays that are tried. A car that turns much less or more than
+    its commands ask for has a different flaw, as has one that the longest delay explains best: it may not turn at all.
+    """
+    honest, late, delay, square = math.inf, math.inf, 0.0, _square()
+    for alternative in range(THROWN):
+        total = lag + DELAY * (alternative % DELAYS)
+        if total <= latest:
+            honest = min(honest, _least_misfit(memory, alternative, GAINS[0], GAINS[-1], square))
+            continue
+        misfit = _least_misfit(memory, alternative, LATE_GAINS[0], LATE_GAINS[1], square)
+        if misfit < late:
+            late, delay = misfit, total
+    enough = EVIDENCE * RULES[COMPARED.steering, RULE.overlap]
+    better = honest - late > enough * max(1.0, late / memory.count[COMPARED.steering])
+    memory.late = memory.late + 1 if better and delay < lag + DELAY * (DELAYS - 1.5) else 0
+    return delay if memory.late >= LOOKS else 0.0
+
+
+@inlined
+def compare(memory, comparison, x1, x2, x3, y, noise, time):
+    """Add a window (s long) to a comparison without alternatives; return 1 + the mistake that is now certain, or 0."""
+    left = start_window(memory, comparison, time)
+    add_window(memory.grams[FIRST_GRAM[comparison]], left, 1.0 / noise, x1, x2, x3, y)
+    return judge(memory, comparison, comparison, 1.0, False)

@@ -12,9 +12,8 @@ from ..controllers.contract import wrapped
 from ..kernel import inlined
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2, sin
-from .hypotheses import COMPARED, DEGREE, MISTAKES, SUBJECTS
+from .hypotheses import COMPARED, DEGREE, LOOKS, MISTAKES, MOTION_BITS, SUBJECTS, compare, honest_misfit
 from .record import COURSES, POSITION, SLOW, TICK, TICKS, T, is_reported, report
-from .regression import LOOKS, compare, honest_misfit
 
 GENTLE, ROUGH, STEEP = 2.5, 5.0, 6.0
 """m/s^2, lateral: of what says which point of the car is measured, of what says that frames differ, and by which the
@@ -164,11 +163,7 @@ def compare_sideways(aside, far, time, rate, sideways_speed, memory, settings):
     if abs(rate) < 0.02 and abs(aside) < 0.1:
         memory.straight += 1
         memory.mounting += (aside - memory.mounting) / min(memory.straight, 100)
-    wrong = (
-        is_reported(memory, SUBJECTS.speed)
-        or is_reported(memory, SUBJECTS.course)
-        or is_reported(memory, SUBJECTS.yaw_rate)
-    )
+    wrong = memory.suspect & MOTION_BITS != 0
     if settings.known == 0.0 or memory.straight < 10 or wrong or not abs(rate * speed) < GENTLE or memory.sliding > 0:
         return
     sideways = speed * sin(aside - memory.mounting)

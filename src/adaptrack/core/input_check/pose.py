@@ -15,8 +15,8 @@ from ..kernel import inlined, local
 from ..maths.exact import sqrt
 from ..maths.exponential import exp, hypot
 from ..maths.trigonometric import cos, sin
-from .hypotheses import MISTAKES, SUBJECTS
-from .record import CRAWLING, ERRORS, MOVED, TICK, TICKS, T, is_reported, report
+from .hypotheses import MISTAKES, POSE_BITS
+from .record import CRAWLING, ERRORS, MOVED, TICK, TICKS, T, report
 
 SPREADS = (0.03, 0.015, 0.7, 0.3, 0.004, 0.1, 0.1)
 """Standard deviations of `ERRORS` at the beginning; that of the slip relative to the slip of the car file."""
@@ -43,16 +43,11 @@ _along, _across, _turn, _gains = (local(len(ERRORS)) for _ in range(4))
 
 # -- honest errors ----------------------------------------------------------------------------------------------------
 @inlined
-def _first_variance(i, settings):
-    """The variance of one of `ERRORS` at the beginning."""
-    spread = SPREADS[i] * (settings.slip if i == ERRORS.slip else 1.0)
-    return spread * spread
-
-
-@inlined
 def _let_errors_change(memory, settings, share):
+    """Add a share of the variances at the beginning."""
     for i in range(len(ERRORS)):
-        memory.covariance[i, i] += share * _first_variance(i, settings)
+        spread = SPREADS[i] * (settings.slip if i == ERRORS.slip else 1.0)
+        memory.covariance[i, i] += share * (spread * spread)
 
 
 @inlined
@@ -137,7 +132,7 @@ def compare_pose(memory, settings):
             _sum_drifts(last, memory, settings)
             _judge_drifts(memory, settings)
         else:
-            _forget_drifts(memory)
+            memory.drifts[:, :] = 0.0
     begin_pose(memory)
     memory.placed[0], memory.placed[1], memory.placed[2] = last[T.x], last[T.y], last[T.yaw]
 
@@ -170,13 +165,6 @@ def _sum_drifts(last, memory, settings):
 
 
 @inlined
-def _forget_drifts(memory):
-    for i in range(len(DRIFT_TIMES)):
-        for j in range(3):
-            memory.drifts[i, j] = 0.0
-
-
-@inlined
 def _judge_drifts(memory, settings):
     """Report a drift that is more than an honest one."""
     honest = max(POSITION_DRIFT, POSITION_SIGMAS * settings.position_noise)
@@ -189,17 +177,9 @@ def _judge_drifts(memory, settings):
     drifts = max(worst, worst_angle) > 1.0 and memory.slips == 0  # a car that begins to slide moves sideways, too
     memory.drifting = memory.drifting + 1 if drifts else 0
     memory.steady += 0 if drifts else 1
-    if memory.drifting < DRIFTING_LOOKS or memory.steady < READY or _has_other_mistake(memory):
+    if memory.drifting < DRIFTING_LOOKS or memory.steady < READY or memory.suspect & POSE_BITS != 0:
         return
     if worst_angle > 1.0:
         report(memory, MISTAKES.yaw_drifts, angle, 0.0, 0.0)
     else:
         report(memory, MISTAKES.position_drifts, distance, 0.0, 0.0)
-
-
-@inlined
-def _has_other_mistake(memory):
-    """Whether a mistake was reported that makes a pose look as if it drifted."""
-    wrong = is_reported(memory, SUBJECTS.course) or is_reported(memory, SUBJECTS.yaw_rate)
-    wrong = wrong or is_reported(memory, SUBJECTS.speed) or is_reported(memory, SUBJECTS.speed_late)
-    return wrong or is_reported(memory, SUBJECTS.yaw_late) or is_reported(memory, SUBJECTS.point)

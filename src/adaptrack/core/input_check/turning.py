@@ -14,15 +14,21 @@ from .hypotheses import (
     DELAY,
     DELAYS,
     FIRST_GRAM,
+    LOOKS,
     MISTAKES,
+    MOTION_BITS,
     SHIFT,
     SHIFTS,
     SUBJECTS,
     UNKNOWN_STEERING,
+    add_window,
+    compare,
+    judge,
+    late_steering,
+    start_window,
 )
 from .motion import ROUGH, SKID, course_turns, explain_course
 from .record import INTEGRAL, TICKS, WINDOW, T, is_reported, report
-from .regression import LOOKS, add_window, compare, judge, late_steering, start_window
 from .requests import LAG, back_to, command_range, left_of_beginning, requested
 
 YAW_NOISE = 0.005
@@ -176,8 +182,7 @@ def compare_steering(turned, rates, aside, memory, settings):
     """Compare the turning of the car, and its wheels, with the commands of some time ago."""
     last, middle, before = memory.ticks[TICKS - 1], memory.ticks[TICKS - 2], memory.ticks[TICKS - 3]
     span = last[T.t] - before[T.t]
-    wrong = is_reported(memory, SUBJECTS.course) or is_reported(memory, SUBJECTS.yaw_rate)
-    if wrong or is_reported(memory, SUBJECTS.speed) or memory.request_count < 3 or memory.sliding > 0:
+    if memory.suspect & MOTION_BITS != 0 or memory.request_count < 3 or memory.sliding > 0:
         return
     has_wheel = math.isfinite(last[T.wheel])
     if has_wheel:
