@@ -1,4 +1,4 @@
-"""Constants are a struct of C and a file with the same words; nothing damaged, and nothing of another layout, is read."""
+"""Constants are a struct of C and a file with the same words; damaged ones, and other layouts, are refused."""
 
 import ctypes
 import platform
@@ -102,9 +102,9 @@ def test_bounds_are_those_of_the_fields():
     }
     estimator = numbers["controller.mpc.informed.estimator"]
     assert estimator["longest"].rule == "EXACT"
-    assert estimator["periods"] == ("BETWEEN", 0.0, 11.0)  # as many as there is memory for
-    assert estimator["share"] == ("BETWEEN", 0.0, np.nextafter(1.0, 0.0))
-    assert numbers["controller.mpc.settings"][".period"] == ("BETWEEN", 1e-4, 10.0)
+    assert estimator["periods"][:3] == ("BETWEEN", 0.0, 11.0)  # as many as there is memory for
+    assert estimator["share"][:3] == ("BETWEEN", 0.0, np.nextafter(1.0, 0.0))
+    assert numbers["controller.mpc.informed.learner"]["computation"][:3] == ("BETWEEN", 0.0, 10.0)
     assert numbers["controller.mpc.settings"][".laguerre"].rule == "EXACT"
     assert numbers["controller.mpc.informed.fresh"]["last[0]"].rule == "ANY"
     assert numbers["tracker.settings"]["[0].furthest"].rule == "NUMBER"

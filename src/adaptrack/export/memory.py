@@ -17,7 +17,6 @@ import struct
 import textwrap
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -162,7 +161,9 @@ class Number(NamedTuple):
     remark: str = ""
 
 
-def _number(name: str, value: Any, free: str, setting: Field | None = None, row: Any = None, remark: str = "") -> Number:
+def _number(
+    name: str, value: Any, free: str, setting: Field | None = None, row: Any = None, remark: str = ""
+) -> Number:
     """A number of a row; free: the rule where its field has no bounds."""
     if isinstance(value, np.integer):
         return Number(name, str(value), Bounds("EXACT"), remark)
@@ -223,9 +224,10 @@ class ArrayRoles(NamedTuple):
     """constants that may be NaN"""
 
 
-@dataclass(frozen=True)
 class CMemory:
     """The memory of a record whose arrays are as they shall be before the first step.
+
+    views: kinds of the first numbers of vectors, by their names: records of numbers, None for a number.
 
     Raises
     ------
@@ -233,41 +235,21 @@ class CMemory:
         See `members_of`.
     """
 
-    record: Any = field(repr=False)
-    roles: ArrayRoles = field(repr=False)
-    views: Mapping[str, Sequence[Any]] = field(repr=False)
-    """kinds of the first numbers of vectors: records of numbers, None for a number"""
+    def __init__(self, record: Any, roles: ArrayRoles, views: Mapping[str, Sequence[Any]]) -> None:
+        self.record, self.roles, self.views = record, roles, views
+        self.members = [member for member in members_of(record) if not member.is_among(roles.outside)]
+        self.arrays = [member for member in self.members if member.is_array]
+        self.links = [member for member in self.members if member.kernel]
+        self.functions = sorted({member.kernel for member in self.links})
+        self.constants = [member for member in self.members if self._is_constant(member)]
+        state = (member for member in self.arrays if member.values.size and not member.is_among(roles.fixed))
+        self.state = sorted(state, key=lambda member: (member.words.size % CACHE_LINE_WORDS != 0, member.words.size))
 
-    def __post_init__(self) -> None:
-        members = [member for member in members_of(self.record) if not member.is_among(self.roles.outside)]
-        roles, arrays = self.roles, [member for member in members if member.is_array]
-        constants = [
-            member
-            for member in members
-            if member.values.size
-            and (member.is_among(roles.fixed) or roles.renewed.get(member.name) == member.name if member.is_array
-                 else member.words.any())  # numbers of a part that the controller lacks are zero
-        ]  # fmt: skip
-        vars(self).update(
-            members=members, arrays=arrays, constants=constants,
-            links=[member for member in members if member.kernel],
-            state=sorted((member for member in arrays if member.values.size and not member.is_among(roles.fixed)),
-                         key=lambda member: (member.words.size % CACHE_LINE_WORDS != 0, member.words.size)),
-        )  # fmt: skip
-
-    members: list[Member] = field(init=False, repr=False)
-    """all but those of the program"""
-    arrays: list[Member] = field(init=False, repr=False)
-    links: list[Member] = field(init=False, repr=False)
-    """addresses of kernels"""
-    constants: list[Member] = field(init=False, repr=False)
-    state: list[Member] = field(init=False, repr=False)
-    """whole cache lines first, so that there are few gaps"""
-
-    @cached_property
-    def functions(self) -> list[str]:
-        """Names of the kernels whose addresses the record has."""
-        return sorted({member.kernel for member in self.links})
+    def _is_constant(self, member: Member) -> bool:
+        if not member.is_array:  # numbers of a part that the controller lacks are zero
+            return bool(member.words.any())
+        is_own = self.roles.renewed.get(member.name) == member.name
+        return member.values.size > 0 and (is_own or member.is_among(self.roles.fixed))
 
     # -- sizes --------------------------------------------------------------------------------------------------------
     def placed_state(self) -> Iterator[tuple[int, Member]]:
