@@ -40,6 +40,16 @@ def test_controllers_that_differ_in_their_numbers_share_their_layout():
     assert memories[0].checksum != memories[2].checksum
 
 
+def test_other_horizons_and_another_car_fit_a_layout_with_room_for_them():
+    cars = CAR, CAR.replace(mass=1.1 * CAR.mass)
+    tunings = at.Tuning(20, 5), at.Tuning(40, 12)
+    layouts = {
+        tracking_memory(at.MPC(car, tuning, profile="road", learning=None), (40, 12)).layout
+        for car, tuning in zip(cars, tunings, strict=True)
+    }
+    assert len(layouts) == 1
+
+
 def test_constants_of_another_layout_are_refused_at_the_start_and_under_way(library):
     tracker = CTracker(library)
     for other in (controller(learning=None), controller(longest_horizon=40), at.Stanley(CAR)):
