@@ -41,7 +41,7 @@ SHARED = ("period", "angle_min", "angle_max", "move_min", "move_max", "mass", "l
 """Names of numbers that are the same wherever they stand among constants."""
 LARGEST_NUMBER = 2**31
 """A whole number of a record beyond it is no count, no flag: it is an address."""
-C_WIDTH = 118
+WRAP_WIDTH = 118
 
 
 # -- the members of a record ------------------------------------------------------------------------------------------
@@ -78,7 +78,7 @@ class Member(NamedTuple):
         return np.frombuffer(self.values.tobytes(), np.uint64)
 
     def is_among(self, names: Sequence[str]) -> bool:
-        """Whether it is one of those with these dotted names, or in a record with one of them."""
+        """Return whether its dotted name, or that of a record that it is in, is among names."""
         return f"{self.name}.".startswith(tuple(f"{name}." for name in names))
 
     @property
@@ -141,17 +141,17 @@ def file_of(layout: int, words: NDArray[np.uint64]) -> bytes:
 
 # -- the numbers of constants -----------------------------------------------------------------------------------------
 class Bounds(NamedTuple):
-    """What a word of the constants may be."""
+    """Bounds of a word of the constants."""
 
     rule: str
     """EXACT: as exported; ANY; NUMBER: any but NaN; BETWEEN: least to most; SAME: as another word"""
     least: float = 0.0
     most: float = 0.0
-    same: int = 0
+    twin: int = 0
     """the other word"""
 
 
-class Number(NamedTuple):
+class ConstantWord(NamedTuple):
     """A word of the constants."""
 
     name: str
@@ -163,10 +163,10 @@ class Number(NamedTuple):
 
 def _number(
     name: str, value: Any, free: str, setting: Field | None = None, row: Any = None, remark: str = ""
-) -> Number:
+) -> ConstantWord:
     """A number of a row; free: the rule where its field has no bounds."""
     if isinstance(value, np.integer):
-        return Number(name, str(value), Bounds("EXACT"), remark)
+        return ConstantWord(name, str(value), Bounds("EXACT"), remark)
     default = np.ravel(setting.default)[0] if setting else 0.0
     if isinstance(default, np.integer):
         bounds = Bounds("EXACT")
@@ -176,7 +176,7 @@ def _number(
         bounds = Bounds("EXACT")
     else:
         bounds = _between(setting, row) if setting and setting.bounds else Bounds(free)
-    return Number(name, c_number(float(value)), bounds, remark)
+    return ConstantWord(name, c_number(float(value)), bounds, remark)
 
 
 def _between(setting: Field, row: Any) -> Bounds:
@@ -189,7 +189,7 @@ def _between(setting: Field, row: Any) -> Bounds:
     return Bounds("BETWEEN", low, high)
 
 
-def _row_numbers(before: str, row: Any, kind: Any, free: str) -> Iterator[Number]:
+def _row_numbers(before: str, row: Any, kind: Any, free: str) -> Iterator[ConstantWord]:
     """The numbers of a row by their designators in C, those of rows within it included."""
     remarks = field_remarks(kind)
     for name, of in kind.kinds.items():
@@ -215,7 +215,7 @@ class ArrayRoles(NamedTuple):
     """The arrays of a record that are not only state, by dotted names of arrays or of records of them."""
 
     fixed: Sequence[str]
-    """constants"""
+    """arrays that are constants"""
     renewed: Mapping[str, str]
     """state that begins as a constant, and does so again when constants are replaced: the name of that constant"""
     outside: Sequence[str]
@@ -283,23 +283,23 @@ class CMemory:
 
     # -- constants ----------------------------------------------------------------------------------------------------
     @cached_property
-    def numbers(self) -> dict[str, list[Number]]:
+    def numbers(self) -> dict[str, list[ConstantWord]]:
         """The words of each member of the constants."""
-        numbers: dict[str, list[Number]] = {}
+        numbers: dict[str, list[ConstantWord]] = {}
         first: dict[tuple[str, str], int] = {}
         word = FILE_HEAD.size // 8
         for member in self.constants:
             numbers[member.name] = part = list(self._numbers_of(member))
             for i, number in enumerate(part):
-                known = number.name.rpartition(".")[2], number.text
-                if known in first:
-                    part[i] = number._replace(bounds=Bounds("SAME", same=first[known]))
-                elif known[0] in SHARED:
-                    first[known] = word
+                key = number.name.rpartition(".")[2], number.text
+                if key in first:
+                    part[i] = number._replace(bounds=Bounds("SAME", twin=first[key]))
+                elif key[0] in SHARED:
+                    first[key] = word
                 word += 1
         return numbers
 
-    def _numbers_of(self, member: Member) -> Iterator[Number]:
+    def _numbers_of(self, member: Member) -> Iterator[ConstantWord]:
         kind, free = member.number_kind, "ANY" if member.name in self.roles.unknown else "NUMBER"
         flat, at = member.values.ravel(), 0
         if not isinstance(kind, Scalar):
@@ -321,8 +321,8 @@ class CMemory:
         shapes = [(member.name, member.kernel, member.values.shape) for member in self.members]
         exact = [(name, i, number.text) for name, numbers in self.numbers.items()
                  for i, number in enumerate(numbers) if number.bounds.rule == "EXACT"]  # fmt: skip
-        same = [number.bounds.same for numbers in self.numbers.values() for number in numbers]
-        return zlib.crc32(repr((shapes, exact, same)).encode())
+        twins = [number.bounds.twin for numbers in self.numbers.values() for number in numbers]
+        return zlib.crc32(repr((shapes, exact, twins)).encode())
 
     @cached_property
     def content(self) -> bytes:
@@ -395,8 +395,8 @@ void adaptrack_renew(struct adaptrack_memory *m) {{
 
     def initialiser(self) -> str:
         """The constants in C."""
-        _, version, *others, words = FILE_HEAD.unpack_from(self.content)
-        head = [f"{number:#x}u" for number in (int.from_bytes(MAGIC, "little"), version, *others)]
+        _, version, *hashes, words = FILE_HEAD.unpack_from(self.content)
+        head = [f"{number:#x}u" for number in (int.from_bytes(MAGIC, "little"), version, *hashes)]
         lines = [f"    {', '.join(head)}, {words},"]
         for member in self.constants:
             numbers = self.numbers[member.name]
@@ -426,11 +426,11 @@ void adaptrack_renew(struct adaptrack_memory *m) {{
         """The bounds of each word behind the head in C, a row for words in a row that have the same."""
         lines, first = [], FILE_HEAD.size // 8
         numbers = [(name, number) for name, part in self.numbers.items() for number in part]
-        for (rule, least, most, same), named in groupby(numbers, lambda named: named[1].bounds):
-            group = list(named)
+        for (rule, least, most, twin), part in groupby(numbers, lambda pair: pair[1].bounds):
+            group = list(part)
             name, number = group[0]
             ends = f"{c_number(least)}, {c_number(most)}"
-            lines.append(f"    {{{first}, {len(group)}, {rule}, {same}, {ends}}}, /* {name}: {number.name} */")
+            lines.append(f"    {{{first}, {len(group)}, {rule}, {twin}, {ends}}}, /* {name}: {number.name} */")
             first += len(group)
         return "\n".join(["const adaptrack_bounds adaptrack_words[] = {", *lines, "};"])
 
@@ -439,6 +439,8 @@ def _indented(lines: Iterable[str], indent: int = 4) -> str:
     """Lines of C, broken where they are too long."""
     before = " " * indent
     return "\n".join(
-        textwrap.fill(line, C_WIDTH, initial_indent=before, subsequent_indent=before + "    ", break_long_words=False)
+        textwrap.fill(
+            line, WRAP_WIDTH, initial_indent=before, subsequent_indent=before + "    ", break_long_words=False
+        )
         for line in lines
     )
