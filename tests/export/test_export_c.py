@@ -10,7 +10,6 @@ import shlex
 import struct
 import subprocess
 import threading
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -197,7 +196,9 @@ def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, wa
 def is_allowed(number, value):
     """Whether a constant may have a value, by its rule."""
     rule, least, most, _ = number.bounds
-    return rule == "ANY" or (rule == "NUMBER" and not math.isnan(value)) or (rule == "BETWEEN" and least <= value <= most)
+    return (
+        rule == "ANY" or (rule == "NUMBER" and not math.isnan(value)) or (rule == "BETWEEN" and least <= value <= most)
+    )
 
 
 @pytest.mark.parametrize("name", ["informed", "learning", "nn", "lqr"])

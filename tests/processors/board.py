@@ -17,6 +17,7 @@ from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.recorded_drive import record_drive
+from adaptrack.export.tracking import speed_part
 from adaptrack.scenario.profile import load_profile
 from programs import try_program
 

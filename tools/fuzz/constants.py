@@ -209,7 +209,7 @@ def _in_a_child(library: Library, seed: int, first: int, count: int, outcomes: m
 # -- what the recorded minute notices ---------------------------------------------------------------------------------
 NOT_READ, TOO_WEAK = "not read in this configuration", "read, but 1 % changes no decision"
 STRONG = (-37.0, 1e-3, 1e3)
-"""Factors on a constant: one that changes no answer under any of them, where it is taken, is not read in this configuration."""
+"""Factors on a constant: one that changes no answer under any that is accepted is not read in this configuration."""
 
 
 def unnoticed(library: Library) -> tuple[int, dict[str, str]]:

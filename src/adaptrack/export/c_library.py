@@ -164,7 +164,7 @@ def _texts(
             texts[f"{folder}/{name}"] = _filled((C_SOURCES / name).read_text(encoding="utf-8"), words)
     texts["include/adaptrack_config.h"] = _config(controller, memory, speed)
     texts["src/adaptrack_layout.h"] = _layout_header(memory)
-    texts["src/adaptrack_layout.c"] = f"{WRITTEN}\n#include \"adaptrack_layout.h\"\n\n{memory.connections()}"
+    texts["src/adaptrack_layout.c"] = f'{WRITTEN}\n#include "adaptrack_layout.h"\n\n{memory.connections()}'
     texts["src/adaptrack_constants.c"] = _constants(memory)
     texts["adaptrack_recorded.h"] = _recorded(recorded, speed)
     return {name: text.encode() for name, text in texts.items()}
@@ -244,7 +244,8 @@ def _layout_header(memory: CMemory) -> str:
     has_speed = bool(record.longitudinal.ahead.size)
     numbers: dict[str, object] = {
         "ROAD_LENGTH": road.LENGTH, "ROAD_SPACING": road.HEADING_SPACING, "ROAD_NUMBERS": len(road.LINE_NUMBERS),
-        "PIECE_COLUMNS": road.PIECE_COLUMNS, "PATH_TOO_SMALL": path.TOO_SMALL, "PLAN_SPACING": f"{PLACE_SPACING!r} /* m */",
+        "PIECE_COLUMNS": road.PIECE_COLUMNS, "PATH_TOO_SMALL": path.TOO_SMALL,
+        "PLAN_SPACING": f"{PLACE_SPACING!r} /* m */",
         "PLANS": record.controller.plans, "LEARNS": int(record.controller.mpc.informed.fresh.size > 0),
         "KERNELS": f"{kernels_number():#x}u", "LAYOUT": f"{memory.layout:#x}u",
     }  # fmt: skip

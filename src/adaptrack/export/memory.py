@@ -17,7 +17,6 @@ import struct
 import textwrap
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -42,7 +41,7 @@ SHARED = ("period", "angle_min", "angle_max", "move_min", "move_max", "mass", "l
 """Names of numbers that are the same wherever they stand among constants."""
 LARGEST_NUMBER = 2**31
 """A whole number of a record beyond it is no count, no flag: it is an address."""
-C_WIDTH = 118
+WRAP_WIDTH = 118
 
 
 # -- the members of a record ------------------------------------------------------------------------------------------
@@ -79,7 +78,7 @@ class Member(NamedTuple):
         return np.frombuffer(self.values.tobytes(), np.uint64)
 
     def is_among(self, names: Sequence[str]) -> bool:
-        """Whether it is one of those with these dotted names, or in a record with one of them."""
+        """Return whether its dotted name, or that of a record that it is in, is among names."""
         return f"{self.name}.".startswith(tuple(f"{name}." for name in names))
 
     @property
@@ -142,17 +141,17 @@ def file_of(layout: int, words: NDArray[np.uint64]) -> bytes:
 
 # -- the numbers of constants -----------------------------------------------------------------------------------------
 class Bounds(NamedTuple):
-    """What a word of the constants may be."""
+    """Bounds of a word of the constants."""
 
     rule: str
     """EXACT: as exported; ANY; NUMBER: any but NaN; BETWEEN: least to most; SAME: as another word"""
     least: float = 0.0
     most: float = 0.0
-    same: int = 0
+    twin: int = 0
     """the other word"""
 
 
-class Number(NamedTuple):
+class ConstantWord(NamedTuple):
     """A word of the constants."""
 
     name: str
@@ -162,10 +161,12 @@ class Number(NamedTuple):
     remark: str = ""
 
 
-def _number(name: str, value: Any, free: str, setting: Field | None = None, row: Any = None, remark: str = "") -> Number:
+def _number(
+    name: str, value: Any, free: str, setting: Field | None = None, row: Any = None, remark: str = ""
+) -> ConstantWord:
     """A number of a row; free: the rule where its field has no bounds."""
     if isinstance(value, np.integer):
-        return Number(name, str(value), Bounds("EXACT"), remark)
+        return ConstantWord(name, str(value), Bounds("EXACT"), remark)
     default = np.ravel(setting.default)[0] if setting else 0.0
     if isinstance(default, np.integer):
         bounds = Bounds("EXACT")
@@ -175,7 +176,7 @@ def _number(name: str, value: Any, free: str, setting: Field | None = None, row:
         bounds = Bounds("EXACT")
     else:
         bounds = _between(setting, row) if setting and setting.bounds else Bounds(free)
-    return Number(name, c_number(float(value)), bounds, remark)
+    return ConstantWord(name, c_number(float(value)), bounds, remark)
 
 
 def _between(setting: Field, row: Any) -> Bounds:
@@ -188,7 +189,7 @@ def _between(setting: Field, row: Any) -> Bounds:
     return Bounds("BETWEEN", low, high)
 
 
-def _row_numbers(before: str, row: Any, kind: Any, free: str) -> Iterator[Number]:
+def _row_numbers(before: str, row: Any, kind: Any, free: str) -> Iterator[ConstantWord]:
     """The numbers of a row by their designators in C, those of rows within it included."""
     remarks = field_remarks(kind)
     for name, of in kind.kinds.items():
@@ -214,7 +215,7 @@ class ArrayRoles(NamedTuple):
     """The arrays of a record that are not only state, by dotted names of arrays or of records of them."""
 
     fixed: Sequence[str]
-    """constants"""
+    """arrays that are constants"""
     renewed: Mapping[str, str]
     """state that begins as a constant, and does so again when constants are replaced: the name of that constant"""
     outside: Sequence[str]
@@ -223,9 +224,10 @@ class ArrayRoles(NamedTuple):
     """constants that may be NaN"""
 
 
-@dataclass(frozen=True)
 class CMemory:
     """The memory of a record whose arrays are as they shall be before the first step.
+
+    views: kinds of the first numbers of vectors, by their names: records of numbers, None for a number.
 
     Raises
     ------
@@ -233,41 +235,21 @@ class CMemory:
         See `members_of`.
     """
 
-    record: Any = field(repr=False)
-    roles: ArrayRoles = field(repr=False)
-    views: Mapping[str, Sequence[Any]] = field(repr=False)
-    """kinds of the first numbers of vectors: records of numbers, None for a number"""
+    def __init__(self, record: Any, roles: ArrayRoles, views: Mapping[str, Sequence[Any]]) -> None:
+        self.record, self.roles, self.views = record, roles, views
+        self.members = [member for member in members_of(record) if not member.is_among(roles.outside)]
+        self.arrays = [member for member in self.members if member.is_array]
+        self.links = [member for member in self.members if member.kernel]
+        self.functions = sorted({member.kernel for member in self.links})
+        self.constants = [member for member in self.members if self._is_constant(member)]
+        state = (member for member in self.arrays if member.values.size and not member.is_among(roles.fixed))
+        self.state = sorted(state, key=lambda member: (member.words.size % CACHE_LINE_WORDS != 0, member.words.size))
 
-    def __post_init__(self) -> None:
-        members = [member for member in members_of(self.record) if not member.is_among(self.roles.outside)]
-        roles, arrays = self.roles, [member for member in members if member.is_array]
-        constants = [
-            member
-            for member in members
-            if member.values.size
-            and (member.is_among(roles.fixed) or roles.renewed.get(member.name) == member.name if member.is_array
-                 else member.words.any())  # numbers of a part that the controller lacks are zero
-        ]  # fmt: skip
-        vars(self).update(
-            members=members, arrays=arrays, constants=constants,
-            links=[member for member in members if member.kernel],
-            state=sorted((member for member in arrays if member.values.size and not member.is_among(roles.fixed)),
-                         key=lambda member: (member.words.size % CACHE_LINE_WORDS != 0, member.words.size)),
-        )  # fmt: skip
-
-    members: list[Member] = field(init=False, repr=False)
-    """all but those of the program"""
-    arrays: list[Member] = field(init=False, repr=False)
-    links: list[Member] = field(init=False, repr=False)
-    """addresses of kernels"""
-    constants: list[Member] = field(init=False, repr=False)
-    state: list[Member] = field(init=False, repr=False)
-    """whole cache lines first, so that there are few gaps"""
-
-    @cached_property
-    def functions(self) -> list[str]:
-        """Names of the kernels whose addresses the record has."""
-        return sorted({member.kernel for member in self.links})
+    def _is_constant(self, member: Member) -> bool:
+        if not member.is_array:  # numbers of a part that the controller lacks are zero
+            return bool(member.words.any())
+        is_own = self.roles.renewed.get(member.name) == member.name
+        return member.values.size > 0 and (is_own or member.is_among(self.roles.fixed))
 
     # -- sizes --------------------------------------------------------------------------------------------------------
     def placed_state(self) -> Iterator[tuple[int, Member]]:
@@ -301,23 +283,23 @@ class CMemory:
 
     # -- constants ----------------------------------------------------------------------------------------------------
     @cached_property
-    def numbers(self) -> dict[str, list[Number]]:
+    def numbers(self) -> dict[str, list[ConstantWord]]:
         """The words of each member of the constants."""
-        numbers: dict[str, list[Number]] = {}
+        numbers: dict[str, list[ConstantWord]] = {}
         first: dict[tuple[str, str], int] = {}
         word = FILE_HEAD.size // 8
         for member in self.constants:
             numbers[member.name] = part = list(self._numbers_of(member))
             for i, number in enumerate(part):
-                known = number.name.rpartition(".")[2], number.text
-                if known in first:
-                    part[i] = number._replace(bounds=Bounds("SAME", same=first[known]))
-                elif known[0] in SHARED:
-                    first[known] = word
+                key = number.name.rpartition(".")[2], number.text
+                if key in first:
+                    part[i] = number._replace(bounds=Bounds("SAME", twin=first[key]))
+                elif key[0] in SHARED:
+                    first[key] = word
                 word += 1
         return numbers
 
-    def _numbers_of(self, member: Member) -> Iterator[Number]:
+    def _numbers_of(self, member: Member) -> Iterator[ConstantWord]:
         kind, free = member.number_kind, "ANY" if member.name in self.roles.unknown else "NUMBER"
         flat, at = member.values.ravel(), 0
         if not isinstance(kind, Scalar):
@@ -339,8 +321,8 @@ class CMemory:
         shapes = [(member.name, member.kernel, member.values.shape) for member in self.members]
         exact = [(name, i, number.text) for name, numbers in self.numbers.items()
                  for i, number in enumerate(numbers) if number.bounds.rule == "EXACT"]  # fmt: skip
-        same = [number.bounds.same for numbers in self.numbers.values() for number in numbers]
-        return zlib.crc32(repr((shapes, exact, same)).encode())
+        twins = [number.bounds.twin for numbers in self.numbers.values() for number in numbers]
+        return zlib.crc32(repr((shapes, exact, twins)).encode())
 
     @cached_property
     def content(self) -> bytes:
@@ -413,8 +395,8 @@ void adaptrack_renew(struct adaptrack_memory *m) {{
 
     def initialiser(self) -> str:
         """The constants in C."""
-        _, version, *others, words = FILE_HEAD.unpack_from(self.content)
-        head = [f"{number:#x}u" for number in (int.from_bytes(MAGIC, "little"), version, *others)]
+        _, version, *hashes, words = FILE_HEAD.unpack_from(self.content)
+        head = [f"{number:#x}u" for number in (int.from_bytes(MAGIC, "little"), version, *hashes)]
         lines = [f"    {', '.join(head)}, {words},"]
         for member in self.constants:
             numbers = self.numbers[member.name]
@@ -444,11 +426,11 @@ void adaptrack_renew(struct adaptrack_memory *m) {{
         """The bounds of each word behind the head in C, a row for words in a row that have the same."""
         lines, first = [], FILE_HEAD.size // 8
         numbers = [(name, number) for name, part in self.numbers.items() for number in part]
-        for (rule, least, most, same), named in groupby(numbers, lambda named: named[1].bounds):
-            group = list(named)
+        for (rule, least, most, twin), part in groupby(numbers, lambda pair: pair[1].bounds):
+            group = list(part)
             name, number = group[0]
             ends = f"{c_number(least)}, {c_number(most)}"
-            lines.append(f"    {{{first}, {len(group)}, {rule}, {same}, {ends}}}, /* {name}: {number.name} */")
+            lines.append(f"    {{{first}, {len(group)}, {rule}, {twin}, {ends}}}, /* {name}: {number.name} */")
             first += len(group)
         return "\n".join(["const adaptrack_bounds adaptrack_words[] = {", *lines, "};"])
 
@@ -457,6 +439,8 @@ def _indented(lines: Iterable[str], indent: int = 4) -> str:
     """Lines of C, broken where they are too long."""
     before = " " * indent
     return "\n".join(
-        textwrap.fill(line, C_WIDTH, initial_indent=before, subsequent_indent=before + "    ", break_long_words=False)
+        textwrap.fill(
+            line, WRAP_WIDTH, initial_indent=before, subsequent_indent=before + "    ", break_long_words=False
+        )
         for line in lines
     )

@@ -33,7 +33,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, fmod, sqrt, square
 from ..maths.trigonometric import atan2, cos, sin
 from ..member import member
-from ..models.contract import CONTROL_PERIOD
+from ..models.contract import PERIOD_FIELD
 from ..roads.road import RoadAheadRecord, point_at
 
 SITUATION = (
@@ -52,7 +52,7 @@ MOVE_LIMITS = (
     Field("move_min", "rad per period", -math.inf, "smallest change of the command", "[-inf, 0]"),
     Field("move_max", "rad per period", math.inf, "largest change of the command", "[0, inf]"),
 )
-COMMON_PARAMETERS = (CONTROL_PERIOD, *MOVE_LIMITS, *ANGLE_LIMITS)
+COMMON_PARAMETERS = (PERIOD_FIELD, *MOVE_LIMITS, *ANGLE_LIMITS)
 """What the parameters of every law begin with."""
 
 LAW_SIGNATURE = void(vector, vector, RoadAheadRecord, vector, vector, vector, vector)

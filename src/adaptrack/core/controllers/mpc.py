@@ -37,7 +37,7 @@ from ..kernel import (
 )
 from ..layout import allocate, sizer
 from ..maths import vectors
-from ..models.contract import CONTROL_PERIOD, MEASUREMENT
+from ..models.contract import MEASUREMENT, PERIOD_FIELD
 from ..models.path import turning_of
 from ..qp import problem as qp
 from .condensing import Discrete, laguerre_moves
@@ -60,7 +60,7 @@ PAPER_TUNING = defaults(MPCTuning)
 MPCSettings = record(
     "MPCSettings",
     (
-        CONTROL_PERIOD,
+        PERIOD_FIELD,
         *MOVE_LIMITS,  # eq. (13)
         *ANGLE_LIMITS,  # eq. (14)
         "ahead",  # rad, by which the command may be ahead of the wheels in spite of eq. (13); 0: not

@@ -55,7 +55,7 @@ from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
 from ..maths.vectors import VECTOR_WIDTH, add, load, mul, splat, store, sub, total, zeros
 from ..models import path
-from ..models.contract import CONTROL_PERIOD, MEASUREMENT
+from ..models.contract import MEASUREMENT, PERIOD_FIELD
 from . import extended_kalman
 from .extended_kalman import ESTIMATE
 
@@ -79,7 +79,7 @@ LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 FilterParameters = record(
     "FilterParameters",
     [
-        CONTROL_PERIOD,
+        PERIOD_FIELD,
         Field("periods", "", 0.0, "dead time in whole periods m, and", "[0, longest]"),
         Field("share", "", 0.0, "the share s of one more", "[0, 1)"),
         Field("longest", "", 0, "whole periods of the longest dead time that there may be: so many commands are kept"),

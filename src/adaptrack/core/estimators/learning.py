@@ -70,7 +70,7 @@ from ..maths.exponential import exp, log
 from ..maths.vectors import VECTOR_WIDTH
 from ..models import path
 from ..models.car import SINGLE_TRACK
-from ..models.contract import CONTROL_PERIOD, MEASUREMENT
+from ..models.contract import MEASUREMENT, PERIOD_FIELD
 from ..physics.forces import GRAVITY
 from . import kalman
 from .extended_kalman import IMPOSSIBLE_SIGNAL, bounded, carry, correct, scatter
@@ -78,7 +78,7 @@ from .learning_method import LearningMethod
 
 LearnerParameters = record("LearnerParameters", (
     ("method", LearningMethod),  # its bias is the bound of |b|
-    CONTROL_PERIOD,
+    PERIOD_FIELD,
     Field("computation", "s", 0.0, "from a measurement until its command is given", "[0, 10]"),
     Field("lag", "s", 0.0, "of the steering, as given", "[0, 10]"),
     Field("hypotheses", "", 0, "how many"),

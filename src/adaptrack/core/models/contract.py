@@ -24,7 +24,7 @@ MEASUREMENT = columns(
 )  # fmt: skip
 """What the sensors give; what is missing is not finite. On a curved road yaw and y count from the path."""
 
-CONTROL_PERIOD = Field("period", "s", 0.05, "control period", "[1e-4, 10]")
+PERIOD_FIELD = Field("period", "s", 0.05, "control period", "[1e-4, 10]")
 
 DISCRETISE = void(float64, float64, vector, matrix, vector, vector)
 """``discretise(speed, period, parameters, a, b, e)``: write A (n, n), B (n,) and E (n,) of one control period (s) at a

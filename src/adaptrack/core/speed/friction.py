@@ -28,7 +28,7 @@ from ..maths.exponential import exp, log
 from ..maths.fast import fast_arctangent_of_ratio
 from ..maths.vectors import VECTOR_WIDTH
 from ..models.car import LearnedRow, unpack
-from ..models.contract import CONTROL_PERIOD, MEASUREMENT
+from ..models.contract import MEASUREMENT, PERIOD_FIELD
 from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from ..physics.tyre import CURVED_MAGIC_FORMULA, LEAST_LOAD, MAGIC_FORMULA, friction_ellipse, lateral_force
 from ..tracker.signals import TRACKER_SAMPLE
@@ -89,7 +89,7 @@ FrictionEstimate = record(
     "FrictionEstimate",
     (
         ("memory", rows(FRICTION_MEMORY)), ("bank", rows(FRICTION_HYPOTHESIS)), ("commands", vector), ("car", vector),
-        CONTROL_PERIOD, ("variances", vector), ("low", float64), ("high", float64),
+        PERIOD_FIELD, ("variances", vector), ("low", float64), ("high", float64),
         ("knowledge", LearnedRow),
     ),
 )  # fmt: skip

@@ -27,7 +27,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import power
 from ..models.car import AXLES, POWERTRAIN
-from ..models.contract import CONTROL_PERIOD
+from ..models.contract import PERIOD_FIELD
 from ..physics.forces import GRAVITY, LARGEST_BEND_SHARE, LEAST_BRAKING, STANDING_SPEED, axle_limits
 from . import faults, learning, stops
 from .place import (
@@ -42,7 +42,7 @@ from .place import (
 )
 
 SpeedSettings = record("SpeedSettings", (
-    CONTROL_PERIOD,
+    PERIOD_FIELD,
     *AXLES,
     *POWERTRAIN,
     "drag", "rolling",  # kg/m, force of the air over v^2; m/s^2

@@ -11,7 +11,7 @@ from ..controllers.contract import STANDSTILL_SPEED as STANDSTILL_SPEED
 from ..controllers.part import REQUEST as REQUEST
 from ..input_check.record import Check
 from ..kernel import fields_of, record, rows, vector
-from ..models.contract import CONTROL_PERIOD, MEASUREMENT
+from ..models.contract import MEASUREMENT, PERIOD_FIELD
 from ..roads.road import Roads
 from ..scheduling.functions import VARIABLE_COLUMNS
 from .signals import TRACKED, TRACKER_SAMPLE, TrackerSample
@@ -35,7 +35,7 @@ EXPECTED_SPEEDS = 80
 TRACKER_SETTINGS = record(
     "Settings",
     (
-        CONTROL_PERIOD,
+        PERIOD_FIELD,
         *ANGLE_LIMITS,  # of the controller's command
         "move",  # rad, by which a command goes back at a call while the car turns against its steering
         "furthest",  # m, from the path, beyond which the car is off it

@@ -306,7 +306,7 @@ static adaptrack_error check_constants(adaptrack_file *file, const void *constan
         if (bounds->rule == EXACT) is_right = word == exported[i];
         if (bounds->rule == NUMBER) is_right = number == number;
         if (bounds->rule == BETWEEN) is_right = number >= bounds->least && number <= bounds->most;
-        if (bounds->rule == SAME) is_right = word == adaptrack_file_word(file, bounds->same);
+        if (bounds->rule == SAME) is_right = word == adaptrack_file_word(file, bounds->twin);
         if (!is_right) return ADAPTRACK_DAMAGED;
     }
     return ADAPTRACK_OK;

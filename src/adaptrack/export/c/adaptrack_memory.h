@@ -38,7 +38,7 @@ typedef enum { EXACT, NUMBER, BETWEEN, SAME, ANY } adaptrack_rule;
 typedef struct {
     uint32_t first, count; /* words */
     adaptrack_rule rule;
-    uint32_t same; /* the other word */
+    uint32_t twin; /* the other word */
     double least, most;
 } adaptrack_bounds;
 
