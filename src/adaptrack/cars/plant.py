@@ -623,7 +623,9 @@ list_plants = _registry.names
 
 @checked
 def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant] | str) -> None:
-    """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``; tyre: a `Tyre`, its name or file, or None: the vehicle's.
+    """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
+
+    tyre: a `Tyre`, its name or file, or None for the vehicle's own.
 
     Raises `InvalidInput` for a name that is taken or empty, and a factory that is neither callable nor a text
     ``"package.module:name"``, or takes other arguments.

@@ -131,9 +131,9 @@ class Objective:
         search = Swarm(space or SearchSpace.tuning(), swarm, seed=seed, stream=stream)
         trial, steps = self._trial(point, *search.space.high[:2]), 0
         while not search.is_done:
-            costs, done = trial(search.ask(), search.best_costs)
+            costs, simulated_steps = trial(search.ask(), search.best_costs)
             search.tell(costs)
-            steps += done
+            steps += simulated_steps
         result = search.result()
         return PointTuning(result.x, result.cost, result.trace, result.evaluations, steps)
 
