@@ -41,19 +41,7 @@ class Registry(Generic[MemberType]):
         self.arguments, self.member_type = arguments, member_type
 
     def add(self, name: str, factory: Callable[..., MemberType] | str) -> None:
-        """Register a factory under a name, for every function and command that takes such names.
-
-        Parameters
-        ----------
-        name
-            New name.
-        factory
-            Callable, or text ``"package.module:name"``, which is imported when it is first used. It returns a new
-            member. Its positional arguments depend on the kind of member:
-
-            - plant: ``(vehicle, tyre)``; the tyre is a `Tyre`, its name or file, or None for the vehicle's own;
-            - prediction model: ``(vehicle, period)``, with the control period in seconds;
-            - estimator: none, only the options that the caller passes by name.
+        """Register a factory under a name.
 
         Raises
         ------
@@ -87,9 +75,7 @@ class Registry(Generic[MemberType]):
             ) from None
 
     def make(self, name: str, *arguments: Any, **options: Any) -> MemberType:
-        """Return a new member from the factory that is registered under a name.
-
-        `arguments` are those of the factory, see `add`; `options` are passed on by name.
+        """Call the factory registered under a name.
 
         Raises
         ------

@@ -618,7 +618,19 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
 )  # fmt: skip
 
 
-register_plant, list_plants = _registry.add, _registry.names
+list_plants = _registry.names
+
+
+@checked
+def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant] | str) -> None:
+    """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
+
+    tyre: a `Tyre`, its name or file, or None for the vehicle's own.
+
+    Raises `InvalidInput` for a name that is taken or empty, and a factory that is neither callable nor a text
+    ``"package.module:name"``, or takes other arguments.
+    """
+    _registry.add(name, factory)
 
 
 @checked

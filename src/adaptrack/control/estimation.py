@@ -160,7 +160,23 @@ _registry: Registry[Estimator] = Registry(
 )  # fmt: skip
 
 
-register_estimator, get_estimator, list_estimators = _registry.add, _registry.make, _registry.names
+list_estimators = _registry.names
+
+
+@checked
+def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> None:
+    """Make ``get_estimator(name, **options)`` call ``factory(**options)``.
+
+    Raises `InvalidInput` for a name that is taken or empty, and a factory that is neither callable nor a text
+    ``"package.module:name"``, or takes other arguments.
+    """
+    _registry.add(name, factory)
+
+
+@checked
+def get_estimator(name: str, **options: Any) -> Estimator:
+    """A registered estimator; raises `UnknownName` when none has this name."""
+    return _registry.make(name, **options)
 
 
 @checked

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, final
 
@@ -296,7 +296,17 @@ _registry: Registry[PredictionModel] = Registry(
 )  # fmt: skip
 
 
-register_model, list_models = _registry.add, _registry.names
+list_models = _registry.names
+
+
+@checked
+def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> None:
+    """Make ``get_model(name, vehicle, period)`` call ``factory(vehicle, period)``.
+
+    Raises `InvalidInput` for a name that is taken or empty, and a factory that is neither callable nor a text
+    ``"package.module:name"``, or takes other arguments.
+    """
+    _registry.add(name, factory)
 
 
 @checked

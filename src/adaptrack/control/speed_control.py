@@ -296,7 +296,7 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float
 
     It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
     """
-    (low, high), nothing, known = interval, np.zeros(0), {}
+    (low, high), nothing, knowledge = interval, np.zeros(0), {}
     hypotheses, commands, plant, variances = 0, 0, nothing, nothing
     belief = None if controller is None else controller.belief
     if belief is not None and low < high:
@@ -306,11 +306,11 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float
         estimator = getattr(controller, "estimator", None)
         filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
         variances = filtering.variances()[FRICTION_SENSORS]
-        known = {"lag": belief.lag.value, "dead_time": belief.delay, **ASSUMED_KNOWLEDGE}
+        knowledge = {"lag": belief.lag.value, "dead_time": belief.delay, **ASSUMED_KNOWLEDGE}
     return friction_kernel.FrictionEstimate(
         friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(hypotheses),
         np.zeros(commands), plant, period, variances, low, high,
-        LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | known),
+        LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | knowledge),
     )  # fmt: skip
 
 

@@ -104,7 +104,7 @@ class Objective:
     def costs(self, point: ArrayLike, tunings: ArrayLike) -> Array:
         """Return J (n,) of each tuning (n, 4) at an operating point (4,), infinite if a run failed."""
         rows = np.array(tunings, dtype=np.float64, ndmin=2)
-        costs, _ = self._trial(point, *rows.max(axis=0)[:2])(rows, np.full(len(rows), np.inf))
+        costs, _ = self._trial(point, len(rows), *rows.max(axis=0)[:2])(rows, np.full(len(rows), np.inf))
         return costs
 
     def tune(
@@ -129,31 +129,29 @@ class Objective:
             Bounds of the tuning; None for `SearchSpace.tuning`.
         """
         search = Swarm(space or SearchSpace.tuning(), swarm, seed=seed, stream=stream)
-        trial, steps = self._trial(point, *search.space.high[:2]), 0
+        trial, steps = self._trial(point, search.settings.particles, *search.space.high[:2]), 0
         while not search.is_done:
-            costs, done = trial(search.ask(), search.best_costs)
+            costs, simulated_steps = trial(search.ask(), search.best_costs)
             search.tell(costs)
-            steps += done
+            steps += simulated_steps
         result = search.result()
         return PointTuning(result.x, result.cost, result.trace, result.evaluations, steps)
 
-    def _trial(self, point: ArrayLike, max_Np: float, max_Nc: float) -> _Trial:
-        """Return the trial of tunings at an operating point; their horizons are at most max_Np and max_Nc (periods)."""
+    def _trial(self, point: ArrayLike, count: int, max_Np: float, max_Nc: float) -> _Trial:
+        """Return the trial of `count` tunings at an operating point, with horizons of up to max_Np and max_Nc."""
         if isinstance(self.plant, SteppedPlant):
             return partial(self._simulated_trial, point)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
-        room = Room(max_Np, max_Nc, residuals=False)
-        run = batch.run_record(SLOTS, int(batch.substeps[0]), room, weight=self.weight)
+        slots, room = min(count, SLOTS), Room(max_Np, max_Nc, residuals=False)
+        run = batch.run_record(slots, int(batch.substeps[0]), room, weight=self.weight)
         run.vehicles.start[:] = batch.starts
         record = Resident(kernel.Trial(run, np.array(self.noise_seeds, dtype=np.int64)))
 
         def trial(tunings: Array, cost_limits: Array) -> tuple[Array, int]:
             costs = np.empty(len(tunings))
             evaluation = kernel.TuningCosts(np.ascontiguousarray(tunings), cost_limits, costs)
-            groups = range(0, len(tunings), SLOTS)
-            return costs, sum(
-                kernel.evaluate(first, min(SLOTS, len(tunings) - first), evaluation, record) for first in groups
-            )
+            groups = range(0, count, slots)
+            return costs, sum(kernel.evaluate(first, min(slots, count - first), evaluation, record) for first in groups)
 
         return trial
 
