@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.results.drive import write_drive_page
-from adaptrack.results.record import SIGNALS
+from adaptrack.results.record import REPLAYED_SIGNALS
 from browsers import Chromium
 from made_drives import bend, made_run, recorded
 from pages import check_that_space_plays
@@ -85,9 +85,9 @@ def test_the_car_is_where_it_was_at_three_instants(answers, drives):
         for drive, car in zip(drives, view["near"]["cars"], strict=True):
             when = min(t, float(drive.run.t[-1]))
             for name in ("x", "y", "yaw", "station", "speed", "offset", "steering"):
-                assert car[name] == pytest.approx(np.interp(when, drive.run.t, SIGNALS[name](drive.run)), abs=6e-3), (
-                    name
-                )
+                assert car[name] == pytest.approx(
+                    np.interp(when, drive.run.t, REPLAYED_SIGNALS[name](drive.run)), abs=6e-3
+                ), name
 
 
 def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(answers):

@@ -12,7 +12,14 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.results import style
 from adaptrack.results.drive import drive_result, write_drive_page
-from adaptrack.results.record import SIGNALS, DrawnCar, DriveRecord, above_picture, offset_scale, outline_stations
+from adaptrack.results.record import (
+    REPLAYED_SIGNALS,
+    DrawnCar,
+    DriveRecord,
+    above_picture,
+    offset_scale,
+    outline_stations,
+)
 from adaptrack.results.replay import REPLAY_UNITS, pack_column, replay_data, sample_indices
 from adaptrack.results.run_pictures import thin_curve, tracking_picture
 from adaptrack.results.style import print_figure
@@ -59,7 +66,7 @@ def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
     (car,) = replay_data({"informed": drive})["cars"]
     for name, unit in REPLAY_UNITS.items():
-        assert np.abs(unpacked(car["columns"][name]) - SIGNALS[name](drive.run)).max() <= 0.5 * unit + 1e-9
+        assert np.abs(unpacked(car["columns"][name]) - REPLAYED_SIGNALS[name](drive.run)).max() <= 0.5 * unit + 1e-9
     assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 
 
