@@ -103,9 +103,8 @@ def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(answers, drives):
     first, last = answers["whole"]
     assert first["whole"]
     ends = [np.array(state["cars"][0]["pixel"]) for state in (first, last)]
-    there = [
-        np.array([np.interp(t, drives[0].run.t, v) for v in (drives[0].run.X, drives[0].run.Y)]) for t in (2.0, 17.5)
-    ]
+    run = drives[0].run
+    there = [np.array([np.interp(t, run.t, v) for v in (run.X, run.Y)]) for t in (2.0, 17.5)]
     assert (ends[1] - ends[0]) * [1, -1] == pytest.approx(first["scale"] * (there[1] - there[0]), abs=0.2)
     for pixel in ends:
         assert 0.0 < pixel[0] < first["width"]

@@ -59,9 +59,8 @@ def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
     (car,) = replay_data({"informed": drive})["cars"]
     for name, unit in REPLAY_UNITS.items():
-        assert (
-            np.abs(unpacked(car["columns"][name]) - record.REPLAYED_SIGNALS[name](drive.run)).max() <= 0.5 * unit + 1e-9
-        )
+        values = record.REPLAYED_SIGNALS[name](drive.run)
+        assert np.abs(unpacked(car["columns"][name]) - values).max() <= 0.5 * unit + 1e-9
     assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 
 

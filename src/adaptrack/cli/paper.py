@@ -286,8 +286,11 @@ def evaluate(
             "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},
             "tests": evaluate_on_tests(task, schedules) if tests else {},
         }
-    longer = None if drives else ("to evaluate them on long drives", replace_option("--drives", 200))
-    show.write_and_say(add_command(evaluation_result(views, schedules), longer), out, as_json)
+    result = add_command(
+        evaluation_result(views, schedules),
+        None if drives else ("to evaluate them on long drives", replace_option("--drives", 200)),
+    )
+    show.write_and_say(result, out, as_json)
 
 
 def _add_schedules(
