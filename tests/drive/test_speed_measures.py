@@ -9,7 +9,7 @@ import adaptrack as at
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
 from adaptrack.drive.speed_measures import measure_stops, speed_measures
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results.record import SIGNALS, DriveRecord
+from adaptrack.results.record import REPLAYED_SIGNALS, DriveRecord
 from adaptrack.road import Arc, Road, Stop, plan_speed
 from adaptrack.road.speed import constant_speed
 from made_drives import made_run
@@ -42,7 +42,7 @@ def test_the_planned_speed_is_that_of_the_place_and_not_of_the_time(drive, run, 
         assert np.abs(planned - run.v_ref).max() > 1.0  # it is late behind the stop
     record = DriveRecord.from_trajectory(run, drive.road)
     station = record.run.road["station"]
-    assert SIGNALS["planned_speed"](record.run) == pytest.approx(drive.plan.at(station), abs=1e-12)
+    assert REPLAYED_SIGNALS["planned_speed"](record.run) == pytest.approx(drive.plan.at(station), abs=1e-12)
 
 
 @pytest.mark.compiled

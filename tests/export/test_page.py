@@ -99,8 +99,8 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
     process = subprocess.run([node, "-"], input=script, capture_output=True, text=True, check=True)
     expected = [
         offset_scale([
-            SimpleNamespace(failure=failed or None, max_offset=np.abs(error).max(), p95_offset=np.percentile(np.abs(error), 95))
-            for error, failed in drive
+            SimpleNamespace(failure=failed or None, max_offset=size.max(), p95_offset=np.percentile(size, 95))
+            for size, failed in ((np.abs(error), failed) for error, failed in drive)
         ])
         for drive in drives
     ]  # fmt: skip

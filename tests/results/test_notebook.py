@@ -15,7 +15,7 @@ from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.results.notebook import run_figure
-from adaptrack.results.record import SIGNALS, DrawnCar, DriveRecord
+from adaptrack.results.record import REPLAYED_SIGNALS, DrawnCar, DriveRecord
 from adaptrack.results.record import on_road as place_on_road
 from adaptrack.road import generate_road
 
@@ -49,7 +49,7 @@ def test_a_run_of_two_laps_is_projected_lap_after_lap(lap):
     assert np.abs(place_on_road(run, lap).road["heading_error"]).max() < 1e-6
     assert record.failure is None
     assert record.shape == DrawnCar.of(load_vehicle("paper"))
-    assert SIGNALS["planned_speed"](record.run) == pytest.approx(10.0)
+    assert REPLAYED_SIGNALS["planned_speed"](record.run) == pytest.approx(10.0)
 
 
 def test_a_run_that_ends_in_nan_is_cut_there_and_says_why_it_failed(lap):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.results.drive import write_drive_page
-from adaptrack.results.record import SIGNALS
+from adaptrack.results.record import REPLAYED_SIGNALS
 from browsers import Chromium
 from made_drives import bend, made_run, recorded
 from pages import check_that_space_plays
@@ -85,9 +85,8 @@ def test_the_car_is_where_it_was_at_three_instants(answers, drives):
         for drive, car in zip(drives, view["near"]["cars"], strict=True):
             when = min(t, float(drive.run.t[-1]))
             for name in ("x", "y", "yaw", "station", "speed", "offset", "steering"):
-                assert car[name] == pytest.approx(np.interp(when, drive.run.t, SIGNALS[name](drive.run)), abs=6e-3), (
-                    name
-                )
+                value = np.interp(when, drive.run.t, REPLAYED_SIGNALS[name](drive.run))
+                assert car[name] == pytest.approx(value, abs=6e-3), name
 
 
 def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(answers):
@@ -104,9 +103,8 @@ def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(answers, drives):
     first, last = answers["whole"]
     assert first["whole"]
     ends = [np.array(state["cars"][0]["pixel"]) for state in (first, last)]
-    there = [
-        np.array([np.interp(t, drives[0].run.t, v) for v in (drives[0].run.X, drives[0].run.Y)]) for t in (2.0, 17.5)
-    ]
+    run = drives[0].run
+    there = [np.array([np.interp(t, run.t, v) for v in (run.X, run.Y)]) for t in (2.0, 17.5)]
     assert (ends[1] - ends[0]) * [1, -1] == pytest.approx(first["scale"] * (there[1] - there[0]), abs=0.2)
     for pixel in ends:
         assert 0.0 < pixel[0] < first["width"]

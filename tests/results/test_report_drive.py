@@ -10,9 +10,9 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
-from adaptrack.results import style
+from adaptrack.results import record, style
 from adaptrack.results.drive import drive_result, write_drive_page
-from adaptrack.results.record import SIGNALS, DrawnCar, DriveRecord, above_picture, offset_scale, outline_stations
+from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, offset_scale, outline_stations
 from adaptrack.results.replay import REPLAY_UNITS, pack_column, replay_data, sample_indices
 from adaptrack.results.run_pictures import thin_curve, tracking_picture
 from adaptrack.results.style import print_figure
@@ -59,7 +59,8 @@ def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
     (car,) = replay_data({"informed": drive})["cars"]
     for name, unit in REPLAY_UNITS.items():
-        assert np.abs(unpacked(car["columns"][name]) - SIGNALS[name](drive.run)).max() <= 0.5 * unit + 1e-9
+        values = record.REPLAYED_SIGNALS[name](drive.run)
+        assert np.abs(unpacked(car["columns"][name]) - values).max() <= 0.5 * unit + 1e-9
     assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 
 
@@ -158,9 +159,8 @@ def test_the_colours_reach_just_beyond_the_largest_error_of_the_drives_that_did_
 
 def test_a_long_drive_is_thinned_and_replayed_at_20_hz():
     road = Road.from_segments([Line(length=2000.0)])
-    drive = made_drive(road)
-    run = dataclasses.replace(drive.run, t=0.2 * drive.run.t, period=0.2 * PERIOD)
-    drive = dataclasses.replace(drive, run=run)
+    run = made_drive(road).run
+    drive = dataclasses.replace(made_drive(road), run=dataclasses.replace(run, t=0.2 * run.t, period=0.2 * PERIOD))
     assert sample_indices(drive).size == pytest.approx(len(run) / 5, abs=2)
     assert len(json.dumps(replay_data({"informed": drive}))) < 20_000
     assert thin_curve(drive.offset, 100).size <= 102

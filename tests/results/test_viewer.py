@@ -59,7 +59,7 @@ def test_one_cursor_goes_through_all_plots_and_the_road(answers, drives):
     assert cursor["words"] == f"{cursor['shown']:.2f} s"
     numbers = [[float(text.replace("−", "-").split()[0].rstrip("°")) for text in plot] for plot in cursor["texts"]]
     at = cursor["shown"]
-    assert numbers[0] == pytest.approx([np.interp(at, run.time, run.offset) for run in drives], abs=2e-3)
+    assert numbers[0] == pytest.approx([np.interp(at, drive.run.t, drive.offset) for drive in drives], abs=2e-3)
     assert numbers[1][:2] == pytest.approx([np.degrees(np.interp(at, drive.run.t, drive.run.steering))] * 2, abs=0.02)
     assert numbers[2] == pytest.approx([10.0] * 3, abs=0.02)
     assert answers["left"]["shown"] == 4.0

@@ -63,10 +63,10 @@ class NewCar:
         InvalidInput
             When mass or wheelbase is missing.
         """
-        known = {key: getattr(self, key) for key in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
-        known = {key: value for key, value in known.items() if value is not None}
+        values = {key: getattr(self, key) for key in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
+        values = {key: value for key, value in values.items() if value is not None}
         if self.mass is None and self.wheelbase is None:
-            if known or self.load is not None or self.drive is not None:
+            if values or self.load is not None or self.drive is not None:
                 raise InvalidInput("a new car needs --mass and --wheelbase.")
             return None
         if self.mass is None or self.wheelbase is None:
@@ -74,7 +74,7 @@ class NewCar:
             raise InvalidInput(f"a new car needs --mass and --wheelbase: --{missing} is missing.")
         return at.vehicle_from_data_sheet(
             name, self.mass, self.wheelbase, load=self.load or 0.0, body_style=str(self.body_style),
-            driven_axle=None if self.drive is None else self.drive.value, **known,
+            driven_axle=None if self.drive is None else self.drive.value, **values,
         )  # fmt: skip
 
 

@@ -218,8 +218,8 @@ def _say_failures(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     for row in rows:
         if row["failed"]:
             where = "" if row["driven_length"] is None else f", s = {row['driven_length']:.0f} m,"
-            what = f"at {row['failed_at']:.2f} s{where} the vehicle {row['failed_because']}"
-            show.say_failed(f"{row['scenario']}, {row['controller']}: {what}.", aside=as_json)
+            failure = f"at {row['failed_at']:.2f} s{where} the vehicle {row['failed_because']}"
+            show.say_failed(f"{row['scenario']}, {row['controller']}: {failure}.", aside=as_json)
 
 
 def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:

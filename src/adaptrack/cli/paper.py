@@ -215,11 +215,10 @@ def adapt(
     note_progress(f"Finished parts and schedules are in {out}: run the command again to continue.")
     with show.progress("adapt") as advance:
         schedules = learn(config, out, workers=workers, progress=advance)
-    histories = {name: schedule.provenance.get("history") for name, schedule in schedules.items()}
     rows = [
-        {"contender": name, **min(history, key=lambda entry: entry["score"])}
-        for name, history in histories.items()
-        if history is not None
+        {"contender": name, **min(schedule.provenance["history"], key=lambda entry: entry["score"])}
+        for name, schedule in schedules.items()
+        if "history" in schedule.provenance
     ]
     if as_json:
         show.say_json({"schedulers": str(out / "schedulers"), "rows": rows})
@@ -286,8 +285,11 @@ def evaluate(
             "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},
             "tests": evaluate_on_tests(task, schedules) if tests else {},
         }
-    longer = None if drives else ("to evaluate them on long drives", replace_option("--drives", 200))
-    show.write_and_say(add_command(evaluation_result(views, schedules), longer), out, as_json)
+    result = add_command(
+        evaluation_result(views, schedules),
+        None if drives else ("to evaluate them on long drives", replace_option("--drives", 200)),
+    )
+    show.write_and_say(result, out, as_json)
 
 
 def _add_schedules(

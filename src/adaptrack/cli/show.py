@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,8 @@ def progress(label: str, total: int = 1) -> AbstractContextManager[Update]:
     A terminal shows a bar, other outputs a line at intervals. Nested progress is not shown. label, total: see
     `base.progress.TrackedWork`. Inside another computation that shows its progress nothing is shown.
     """
-    return shown_progress(TrackedWork(label, total), _bar if sys.stderr.isatty() else _lines)
+    display = _bar if sys.stderr.isatty() else partial(reported, report=_print_line)
+    return shown_progress(TrackedWork(label, total), display)
 
 
 @contextmanager
@@ -115,10 +117,6 @@ def _bar(work: TrackedWork) -> Iterator[Update]:
             bar.update(task, description=printable(label), completed=work.share, total=1.0 if work.share else None)
 
         yield update
-
-
-def _lines(work: TrackedWork) -> AbstractContextManager[Update]:
-    return reported(work, _print_line)
 
 
 def _print_line(work: TrackedWork, ended: bool) -> None:

@@ -24,7 +24,7 @@ from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.speed_measures import StopMeasure, measure_stops, speed_measures
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import run_pictures, words
-from adaptrack.results.marks import Stroke, strokes
+from adaptrack.results.marks import strokes
 from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, above_picture, on_road
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario.profile import load_profile
@@ -40,8 +40,6 @@ Cross: failure. Grey: steering command."
 CONDITIONS_CAPTION = "Lateral wind, friction and variable tuning. Black: equal for all runs."
 SPEED_CAPTION = "Speed: reference (dashed) and actual speed."
 ERROR_CAPTION = "Tracking error over time."
-
-Strokes = Mapping[str, Stroke]
 
 
 @dataclass(frozen=True)
@@ -250,7 +248,7 @@ def _drives(runs: Sequence[Shown]) -> dict[str, DriveRecord]:
 
 
 def _pictures(
-    scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], line_styles: Strokes
+    scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], line_styles: run_pictures.Strokes
 ) -> list[Picture]:
     """Draw the main picture (map of the road, or error in the first scenario), then pictures of all signals."""
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
@@ -268,7 +266,7 @@ def _pictures(
     return pictures
 
 
-def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: Strokes, stem: str) -> list[Picture]:
+def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: run_pictures.Strokes, stem: str) -> list[Picture]:
     """Draw tracking, conditions and learned quantities of the runs of one scenario or road."""
     caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
     pictures = [run_pictures.tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]

@@ -106,7 +106,7 @@ class DriveRecord:
             When fewer than two instants are finite.
         """
         placed = on_road(run, road)
-        finite = np.isfinite([read(placed) for read in SIGNALS.values()]).all(axis=0)
+        finite = np.isfinite([read(placed) for read in REPLAYED_SIGNALS.values()]).all(axis=0)
         end = int(finite.argmin()) if not finite.all() else len(run)
         if end < 2:
             raise InvalidInput("a drive along a road must have at least two instants with finite numbers.")
@@ -130,7 +130,7 @@ class DriveRecord:
         return float(np.abs(self.offset).max())
 
 
-SIGNALS: dict[str, Callable[[Trajectory], Array]] = {
+REPLAYED_SIGNALS: dict[str, Callable[[Trajectory], Array]] = {
     "time": lambda run: run.t,
     "station": lambda run: run.road["station"],
     "x": lambda run: run.X,

@@ -31,7 +31,7 @@ REPLAY_UNITS = {
     "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
     "command": 1e-4, "planned_speed": 1e-2,
 }  # fmt: skip
-"""The units to which the columns of a replay (`record.SIGNALS`) are rounded (s, m, rad, m/s)."""
+"""The units to which the columns of a replay (`record.REPLAYED_SIGNALS`) are rounded (s, m, rad, m/s)."""
 
 SPEED_SIGNALS = (
     "governed_speed", "longitudinal_acceleration", "grip_used", "friction_low", "friction_high", "friction",
@@ -143,7 +143,7 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
 
 def _car(label: str, drive: record.DriveRecord) -> dict[str, Any]:
     keep, shape = sample_indices(drive), drive.shape
-    columns = {name: read(drive.run) for name, read in record.SIGNALS.items()}
+    columns = {name: read(drive.run) for name, read in record.REPLAYED_SIGNALS.items()}
     columns |= {"yaw": np.unwrap(columns["yaw"])} | _speed_signals(drive.run)
     return {
         "name": printable(label),
