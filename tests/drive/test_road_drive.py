@@ -100,19 +100,6 @@ def test_a_straight_road_is_the_scenario_without_a_road():
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("make", [MPC, *LAWS.values()], ids=["mpc", *LAWS])
-def test_both_drivers_give_the_same_run(make):
-    controller = make(CAR, profile="road") if make is MPC else make(CAR, period=0.05, preview=True)
-    drive = RoadDrive(HAIRPIN, 6.0)
-    run = simulate(PLANT, controller, drive, profile="road", seed=5)
-    other = rollout(PLANT, controller, drive, profile="road", seed=5)
-    for name in ("X", "Y", "psi", "command"):
-        np.testing.assert_array_equal(getattr(run, name), getattr(other, name))
-    for name in run.road:
-        np.testing.assert_array_equal(run.road[name], other.road[name])
-
-
-@pytest.mark.compiled
 def wheel_angle_measured_at_the_start(drive):
     """rad, without steering lag and with one."""
     angles = []
