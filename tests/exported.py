@@ -122,11 +122,11 @@ def text_with_headers(source, folder):
     return "\0".join(texts)
 
 
-def link_export(folder):
-    """A shared library of an export; what exports of this session have in common is compiled once."""
+def compile_export(folder):
+    """The objects of an export's C sources; what exports of this session have in common is compiled once."""
     command = [find_program("gcc"), *STRICT, "-O0", *EXACT_OPTIONS, "-fPIC", f"-I{folder}/include"]
     session = next((parent for parent in folder.parents if re.fullmatch(r"pytest-\d+", parent.name)), folder)
-    objects, library = [], folder / "tracker.so"
+    objects = []
     for source in sorted((folder / "src").glob("*.c")):
         text = text_with_headers(source, (folder / "src", folder / "include"))
         objects.append(session / f"{hashlib.sha256(text.encode()).hexdigest()}.o")
@@ -135,7 +135,13 @@ def link_export(folder):
             process = subprocess.run([*command, "-c", source, "-o", part], capture_output=True, text=True)
             assert process.returncode == 0, process.stderr
             os.replace(part, objects[-1])  # other processes compile it, too
-    subprocess.run([*command, "-shared", *objects, "-o", library], check=True)
+    return objects
+
+
+def link_export(folder):
+    """A shared library of an export."""
+    library = folder / "tracker.so"
+    subprocess.run([find_program("gcc"), "-shared", *compile_export(folder), "-o", library], check=True)
     return library
 
 
