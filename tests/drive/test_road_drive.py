@@ -31,8 +31,6 @@ from adaptrack.tuning.runs import RunSet
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
-
-
 BEND = Arc(length=15.0 * math.pi, curvature=1 / 15)
 HAIRPIN = Road.from_segments([Line(length=40.0), BEND, Line(length=40.0)], name="hairpin")
 CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
