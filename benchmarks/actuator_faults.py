@@ -133,13 +133,8 @@ def drive_one(seed: tuple[int, ...], seconds: float, brake_share: float, pulls: 
     controller = make(SpeedControl(CAR), road, plan, PERIOD)
     history, errors = deque([(0.0, 0.0)] * (age + 1), maxlen=age + 1), []
     is_healthy, clock, way, report, cause, sets_off = (
-        brake_share == 1.0 and pulls == 0.0,
-        math.inf,
-        0.0,
-        math.nan,
-        None,
-        False,
-    )
+        brake_share == 1.0 and pulls == 0.0, math.inf, 0.0, math.nan, None, False,
+    )  # fmt: skip
     fault = False
     t = 0.0
     for k in range(round(seconds / PERIOD) if is_healthy else round((begin + 90.0) / PERIOD)):
@@ -166,12 +161,9 @@ def drive_one(seed: tuple[int, ...], seconds: float, brake_share: float, pulls: 
             car.move(request.force, request.hold, brake_share if fault else 1.0, pull if fault and pulls else 0.0)
             history.append((car.s, car.v))
     return Drive(
-        report if is_healthy else report - clock,
-        cause,
-        way,
-        sets_off,
+        report if is_healthy else report - clock, cause, way, sets_off,
         float(np.sqrt(np.mean(np.square(errors or [0.0])))),
-    )
+    )  # fmt: skip
 
 
 def main() -> None:
@@ -207,11 +199,9 @@ def main() -> None:
               f"{sum(drive.cause is wanted for drive in drives)}, set off again "
               f"{sum(drive.sets_off for drive in drives)}")  # fmt: skip
         print(
-            "   missed",
-            [k for k, drive in enumerate(drives) if not drive.cause],
-            "late",
+            "   missed", [k for k, drive in enumerate(drives) if not drive.cause], "late",
             [(k, round(d.report, 2)) for k, d in enumerate(drives) if d.report > 2.0],
-        )
+        )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -193,10 +193,8 @@ def stuck(runs: int) -> list[dict[str, Any]]:
     tests = [random_drive(9_200_000 + i) for i in range(runs)]
     wheels = PRODUCTION.replace(name="production, wheel angle without offset", bias_wheel_angle=0.0)
     worlds = (
-        (ROAD, ("vy", "yaw_rate")),
-        (PRODUCTION, ("yaw_rate", "lateral_acceleration")),
-        (wheels, ("wheel_angle",)),
-    )
+        (ROAD, ("vy", "yaw_rate")), (PRODUCTION, ("yaw_rate", "lateral_acceleration")), (wheels, ("wheel_angle",)),
+    )  # fmt: skip
     rows = []
     for world, sensor in ((world, sensor) for world, sensors in worlds for sensor in sensors):
         noise = getattr(world, f"noise_{sensor}")

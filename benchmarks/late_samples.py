@@ -184,14 +184,9 @@ class Sensors(NamedTuple):
     def prompt(self) -> Sensors:
         """The sensors with a new sample at each call, without an age."""
         return self._replace(
-            pose_rate=20,
-            motion_rate=20,
-            has_one_message=True,
-            age=0.0,
-            age_spread=0.0,
-            stamp_error=0.0,
+            pose_rate=20, motion_rate=20, has_one_message=True, age=0.0, age_spread=0.0, stamp_error=0.0,
             loop_jitter=0.0,
-        )
+        )  # fmt: skip
 
     @property
     def oldest(self) -> float:

@@ -34,12 +34,10 @@ COMFORT_ROADS, SEEDS = [(kind, seed) for kind, seed in ROADS if seed < 14], (1, 
 SHARES = (0.8, 0.98)
 LENGTH = 2000.0
 DRIVERS = {
-    "prescribed": lambda car: None,
-    "by place": lambda car: Driver(guard=math.inf),
-    "with guard": lambda car: Driver(),
-    "speed control": lambda car: SpeedControl(car, friction=0.9),
+    "prescribed": lambda car: None, "by place": lambda car: Driver(guard=math.inf),
+    "with guard": lambda car: Driver(), "speed control": lambda car: SpeedControl(car, friction=0.9),
     "0.65 to 0.9": lambda car: SpeedControl(car, friction=(0.65, 0.9)),
-}
+}  # fmt: skip
 """Last: a speed control that knows an interval of the friction."""
 STIFFNESS_ERROR = 1.6
 

@@ -367,12 +367,9 @@ class Slot:
     def compile(self, environment: Mapping[str, str]) -> None:
         """Make the library of the copy's kernels, unless that of the checkout is theirs."""
         done = subprocess.run(
-            [sys.executable, "-m", "adaptrack.core.build"],
-            cwd=self.tree,
-            env=environment,
-            capture_output=True,
+            [sys.executable, "-m", "adaptrack.core.build"], cwd=self.tree, env=environment, capture_output=True,
             text=True,
-        )
+        )  # fmt: skip
         if done.returncode != 0:
             raise SystemExit(f"the kernels of {self.tree} cannot be compiled:\n{done.stderr}")
 

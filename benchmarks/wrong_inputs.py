@@ -371,16 +371,14 @@ class _Sensors:
         ahead = self.fault.ahead * (b.lf if self.fault.ahead > 0 else b.lr)
         speed_noise = p.noise_speed if math.isfinite(p.noise_speed) and p.noise_speed else 0.003
         return Sample(
-            t,
-            b.x + ahead * math.cos(b.yaw) + p.noise_y * noise[0],
+            t, b.x + ahead * math.cos(b.yaw) + p.noise_y * noise[0],
             b.y + ahead * math.sin(b.yaw) + p.noise_y * noise[1],
             math.remainder(b.yaw + self.mounting + p.noise_yaw * noise[2], math.tau),
-            b.speed * (1.0 + speed_noise * noise[3]),
-            b.yaw_rate + self.gyro + p.noise_yaw_rate * noise[4],
+            b.speed * (1.0 + speed_noise * noise[3]), b.yaw_rate + self.gyro + p.noise_yaw_rate * noise[4],
             b.vy + p.noise_vy * noise[5] if math.isfinite(p.noise_vy) else NAN,
             b.pull + p.noise_lateral_acceleration * noise[6] if p.name == "production" else NAN,
             b.angle + self.wheel + p.noise_wheel_angle * noise[7] if p.name == "production" else NAN,
-        )
+        )  # fmt: skip
 
     def arriving(self, t: float, late: bool) -> Sample | None:
         """The newest sample that is there."""

@@ -7,13 +7,11 @@ from adaptrack.control.controllers.belief import UNKNOWN
 from adaptrack.core.synthesis.mpc import MPCNumbers
 
 CASES = {
-    "known": {"profile": "production"},
-    "told": {"learning": None, "profile": "road"},
-    "unknown": {"belief": UNKNOWN, "learning": None},
-    "learning": {},
+    "known": {"profile": "production"}, "told": {"learning": None, "profile": "road"},
+    "unknown": {"belief": UNKNOWN, "learning": None}, "learning": {},
     "without lag": {"belief": Steering(lag=0.0, dead_time=0.12)},
     "unsure": {"belief": Steering(lag=0.1, dead_time=0.1), "uncertainty": at.Uncertainty(0.05, 0.05, 1.3, 0.1)},
-}
+}  # fmt: skip
 
 
 def make_order(vehicle, options):

@@ -59,11 +59,11 @@ def text_with_headers(source, folder):
     return "\0".join(texts)
 
 
-def link_export(folder, options=("-O0", *EXACT_OPTIONS)):
-    """A shared library of an export; what exports of this session have in common is compiled once."""
+def compile_export(folder, options=("-O0", *EXACT_OPTIONS)):
+    """The objects of an export's C sources; what exports of this session have in common is compiled once."""
     command = [find_program("gcc"), *STRICT, *options, "-fPIC", f"-I{folder}/include"]
     session = next((parent for parent in folder.parents if re.fullmatch(r"pytest-\d+", parent.name)), folder)
-    objects, library = [], folder / "tracker.so"
+    objects = []
     for source in sorted((folder / "src").glob("*.c")):
         text = " ".join(options) + text_with_headers(source, (folder / "src", folder / "include"))
         objects.append(session / f"{hashlib.sha256(text.encode()).hexdigest()}.o")
@@ -72,7 +72,13 @@ def link_export(folder, options=("-O0", *EXACT_OPTIONS)):
             process = subprocess.run([*command, "-c", source, "-o", part], capture_output=True, text=True)
             assert process.returncode == 0, process.stderr
             os.replace(part, objects[-1])  # other processes compile it, too
-    subprocess.run([*command, "-shared", *objects, "-o", library], check=True)
+    return objects
+
+
+def link_export(folder, options=("-O0", *EXACT_OPTIONS)):
+    """A shared library of an export."""
+    library, objects = folder / "tracker.so", compile_export(folder, options)
+    subprocess.run([find_program("gcc"), *options, "-shared", *objects, "-o", library], check=True)
     return library
 
 

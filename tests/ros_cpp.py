@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 import adaptrack as at
-from adaptrack.export.kernel_sources import EXACT_OPTIONS
+from exported import compile_export
 from programs import find_program
 from ros_messages import PACKAGE, package_module
 
@@ -37,14 +37,8 @@ def run(*command):
 def controller(folder, speed_control=False):
     """The folder of the exported controller, and the objects of its C sources."""
     find_program("g++")
-    find_program("gcc")
     package_module("export_controller").export(follower.Parameters(speed_control=speed_control), folder)
-    objects = []
-    for source in sorted((folder / "src").glob("*.c")):
-        objects.append(str(folder / f"{source.stem}.o"))
-        options = "-std=c99", "-O1", *EXACT_OPTIONS, "-fPIC", f"-I{folder / 'include'}"
-        run("gcc", *options, "-c", str(source), "-o", objects[-1])
-    return objects
+    return compile_export(folder)
 
 
 def includes(folder):
@@ -62,17 +56,7 @@ def shim(folder, *options, speed_control=False):
     """The logic as a library."""
     parts, shared_object = controller(folder, speed_control), folder / "follower.so"
     sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp"
-    run(
-        "g++",
-        *(options or STRICT),
-        "-shared",
-        "-fPIC",
-        *includes(folder),
-        *map(str, sources),
-        *parts,
-        "-o",
-        str(shared_object),
-    )
+    run("g++", *(options or STRICT), "-shared", "-fPIC", *includes(folder), *sources, *parts, "-o", shared_object)
     library = ctypes.CDLL(str(shared_object))
     library.ros_make.restype = ctypes.c_void_p
     return library
@@ -82,19 +66,12 @@ def shim(folder, *options, speed_control=False):
 def node(folder):
     """The node as a program, on stand-ins."""
     parts, library = controller(folder), folder / "node"
-    options = [
-        *STRICT[:1],
-        "-O0",
-        *STRICT[2:],
-        "-DADAPTRACK_WITH_TRAJECTORY",
-        "-DADAPTRACK_WITH_CONTROL",
-        "-Dmain=node_main",
-        *includes(folder),
-    ]
-    run("g++", *options, "-c", str(CPP / "src" / "follower_node.cpp"), "-o", str(folder / "node.o"))
+    with_all = "-DADAPTRACK_WITH_TRAJECTORY", "-DADAPTRACK_WITH_CONTROL", "-Dmain=node_main"
+    options = [*STRICT[:1], "-O0", *STRICT[2:], *with_all, *includes(folder)]
+    run("g++", *options, "-c", CPP / "src" / "follower_node.cpp", "-o", folder / "node.o")
     options.remove("-Dmain=node_main")
     sources = CPP / "src" / "follower.cpp", STAND_INS / "drive.cpp", folder / "node.o"
-    run("g++", *options, *map(str, sources), *parts, "-o", str(library))
+    run("g++", *options, *sources, *parts, "-o", library)
     return library
 
 

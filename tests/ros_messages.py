@@ -46,11 +46,9 @@ def odometry(t=0.0, x=0.0, y=0.0, yaw=0.0, speed=0.0, rate=0.0):
     """nav_msgs/Odometry"""
     vector = Record(x=speed, y=0.0, z=0.0)
     return Record(
-        header=header(t),
-        child_frame_id="base_link",
-        pose=Record(pose=pose(x, y, yaw)),
+        header=header(t), child_frame_id="base_link", pose=Record(pose=pose(x, y, yaw)),
         twist=Record(twist=Record(linear=vector, angular=Record(x=0.0, y=0.0, z=rate))),
-    )
+    )  # fmt: skip
 
 
 def pose_stamped(t=0.0, x=0.0, y=0.0, yaw=0.0):
@@ -188,10 +186,7 @@ def fake_ros(monkeypatch):
             "DiagnosticStatus": lambda: Record(level=b"\0", name="", message="", hardware_id="", values=[]),
             "KeyValue": Record,
         },
-        "geometry_msgs.msg": {
-            "PoseStamped": pose_stamped,
-            "TwistStamped": twist_stamped,
-        },
+        "geometry_msgs.msg": {"PoseStamped": pose_stamped, "TwistStamped": twist_stamped},
         "autoware_control_msgs.msg": {"Control": control},
         "rclpy.time": {"Time": lambda: None},
         "sensor_msgs.msg": {"Imu": imu},

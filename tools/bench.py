@@ -177,12 +177,9 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
         if varying:
             speed = Constant(value=max(speed, 5.0)) + Sine(amplitude=2.0, frequency=0.15)
         return load_scenario(
-            "step",
-            amplitude=float(rng.uniform(*AMPLITUDES)),
-            speed=speed,
-            friction=float(rng.uniform(*FRICTIONS)),
+            "step", amplitude=float(rng.uniform(*AMPLITUDES)), speed=speed, friction=float(rng.uniform(*FRICTIONS)),
             wind=float(rng.uniform(*WINDS)),
-        )
+        )  # fmt: skip
 
     which = np.repeat(np.arange(conditions), 20)
     tunings = np.column_stack(
@@ -206,17 +203,11 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
     test = scenario(False)
     plain = _plain_rate([(plant, test, tunings[i]) for i in range(6)])
     return {
-        "control_steps_per_s": constant,
-        "control_steps_per_s_varying_speed": varying,
-        "control_steps_per_s_one_thread": single,
-        "runs_per_s": constant / 180,
-        "python_daqp_steps_per_s": plain,
-        "ratio_to_python_daqp": constant / plain,
-        "threads": threads,
-        "runs": int(which.size),
-        "steps_a_run": 180,
+        "control_steps_per_s": constant, "control_steps_per_s_varying_speed": varying,
+        "control_steps_per_s_one_thread": single, "runs_per_s": constant / 180, "python_daqp_steps_per_s": plain,
+        "ratio_to_python_daqp": constant / plain, "threads": threads, "runs": int(which.size), "steps_a_run": 180,
         **_machine(),
-    }
+    }  # fmt: skip
 
 
 def one_blas_thread() -> Any:
@@ -250,12 +241,9 @@ def _machine() -> dict[str, Any]:
         ]
         cpu = names[0] if names else cpu
     return {
-        "cpu": cpu,
-        "cores": os.cpu_count() or 1,
-        "kernels": kernels_hash(),
-        "python": platform.python_version(),
+        "cpu": cpu, "cores": os.cpu_count() or 1, "kernels": kernels_hash(), "python": platform.python_version(),
         **{name: version(name) for name in ("adaptrack", "numpy", "daqp")},
-    }
+    }  # fmt: skip
 
 
 # -- controllers on random drives -------------------------------------------------------------------------------------

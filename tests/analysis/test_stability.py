@@ -178,11 +178,8 @@ def wandering(x, u, environment, p, dx):
     """A car whose own state runs away, unseen."""
     vy, r, vx = x[4], x[5], x[3]
     dx[0], dx[1], dx[2], dx[3] = (
-        vx * math.cos(x[2]) - vy * math.sin(x[2]),
-        vx * math.sin(x[2]) + vy * math.cos(x[2]),
-        r,
-        0.0,
-    )
+        vx * math.cos(x[2]) - vy * math.sin(x[2]), vx * math.sin(x[2]) + vy * math.cos(x[2]), r, 0.0,
+    )  # fmt: skip
     front, rear = p[0] * (u[0] - (vy + 1.2 * r) / vx), p[1] * (-(vy - 1.6 * r) / vx)
     dx[4], dx[5] = (front + rear) / p[2] - vx * r, (1.2 * front - 1.6 * rear) / 2875.0
     dx[6] = x[6] + vy
@@ -258,10 +255,8 @@ def test_at_its_margins_the_cars_loop_is_at_the_verge(turning, mpc):
         tunings[:, 3] *= 1e-2
     for speed in (6.0, 16.0, 26.0):
         options = {
-            "friction": 0.7,
-            "profile": "road",
-            "lateral_acceleration": hard_turn(speed, 0.7) if turning else 0.0,
-        }
+            "friction": 0.7, "profile": "road", "lateral_acceleration": hard_turn(speed, 0.7) if turning else 0.0,
+        }  # fmt: skip
         k = laws(mpc, speed, tunings)
         body = sampled(PLANT, 0.05, speed, **options)
         result = margins(body, k, 0.05)
@@ -306,13 +301,9 @@ def sensed_row(measured):
 def informed_mpc(lag=0.15, dead_time=0.05, noise=ROAD_SENSORS, moves=None):
     model = PathModel(CAR, 0.05, lag, dead_time)
     return at.MPC(
-        CAR,
-        at.Tuning(25, 6, 1.0, 4.0),
-        period=0.05,
-        model=model,
-        estimator=KalmanFilter(noise, settling=math.inf),
+        CAR, at.Tuning(25, 6, 1.0, 4.0), period=0.05, model=model, estimator=KalmanFilter(noise, settling=math.inf),
         moves=moves,
-    )
+    )  # fmt: skip
 
 
 def as_measured(speed, measured, command, a, b, parameters, memory, x, d):

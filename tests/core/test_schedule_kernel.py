@@ -58,13 +58,9 @@ def test_a_network_is_that_of_its_numpy_reference(relu, rng):
 @pytest.mark.filterwarnings("ignore:overflow encountered in exp:RuntimeWarning")  # said by NumPy's reference
 def test_a_neuron_far_in_its_saturation_is_zero_or_one():
     net = Network(
-        np.zeros(1),
-        np.ones(1),
-        (np.array([[1e5, -1e5]]), np.array([[2.0], [3.0]])),
-        (np.zeros(2), np.zeros(1)),
-        0.0,
+        np.zeros(1), np.ones(1), (np.array([[1e5, -1e5]]), np.array([[2.0], [3.0]])), (np.zeros(2), np.zeros(1)), 0.0,
         1.0,
-    )
+    )  # fmt: skip
     x = np.array([[1.0], [-1.0]])
     assert by_kernel(net, x).tolist() == net.predict(x).tolist() == [2.0, 3.0]
 

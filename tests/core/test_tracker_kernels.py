@@ -28,14 +28,12 @@ CIRCLE = Road.from_segments([Arc(length=200.0 * math.pi, curvature=1 / 100)], cl
 TWICE_AROUND = Road.from_segments([Arc(length=800.0 * math.pi, curvature=1 / 200)])
 """Two laps as an open road: each place of it comes twice."""
 MAKERS = {
-    "informed": lambda: MPC(CAR, profile="road"),
-    "informed, late samples": lambda: MPC(CAR, profile="production"),
+    "informed": lambda: MPC(CAR, profile="road"), "informed, late samples": lambda: MPC(CAR, profile="production"),
     "learning": lambda: MPC(CAR, profile="road", learning=Learning()),
     "published": lambda: published_mpc(CAR, Tuning(35, 8, 1.0, 3000.0), period=0.05),
-    "LQR": lambda: LQR(CAR, period=0.05),
-    "Stanley": lambda: Stanley(CAR, period=0.05),
+    "LQR": lambda: LQR(CAR, period=0.05), "Stanley": lambda: Stanley(CAR, period=0.05),
     "pure pursuit": lambda: PurePursuit(CAR, period=0.05),
-}
+}  # fmt: skip
 
 
 def stepper(tracking):

@@ -39,12 +39,9 @@ def _every_operation(A, out):
         )),
     )  # fmt: skip
     return (
-        vectors.total(a),
-        vectors.largest(a),
-        vectors.smallest(a),
-        vectors.first_equal(a, A[0, 5]),
+        vectors.total(a), vectors.largest(a), vectors.smallest(a), vectors.first_equal(a, A[0, 5]),
         vectors.first_equal(a, 99.0),
-    )
+    )  # fmt: skip
 
 
 def test_each_operation_equals_numpy(rng):

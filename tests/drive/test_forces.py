@@ -199,13 +199,9 @@ def test_a_plan_for_an_assumed_friction_asks_no_more_than_that_of_the_tyres() ->
     plan = plan_speed(road.replace(friction=0.4), car, Comfort(lateral=9.0))
     drive = RoadDrive(road, plan)
     run = simulate(
-        DualTrack(car),
-        MPC(car, profile="road"),
-        drive,
-        profile="road",
-        driver=Driver(),
+        DualTrack(car), MPC(car, profile="road"), drive, profile="road", driver=Driver(),
         perception=Perception(friction=0.4),
-    )
+    )  # fmt: skip
     assert run.failed is None
     in_arc = (run.road["station"] > 150.0) & (run.road["station"] < 220.0)
     assert 0.3 * GRAVITY < run.lateral_acceleration[in_arc].mean() < 0.4 * GRAVITY

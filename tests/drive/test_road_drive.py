@@ -31,8 +31,6 @@ from adaptrack.tuning.runs import RunSet
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
-
-
 BEND = Arc(length=15.0 * math.pi, curvature=1 / 15)
 HAIRPIN = Road.from_segments([Line(length=40.0), BEND, Line(length=40.0)], name="hairpin")
 CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
@@ -97,19 +95,6 @@ def test_a_straight_road_is_the_scenario_without_a_road():
     bent = rollout(PLANT, mpc, RoadDrive(straight, 20.0, reference=test.reference), profile="road", seed=3)
     assert np.abs(plain.error).max() > 0.02
     np.testing.assert_allclose(bent.error[: len(plain)], plain.error, rtol=0, atol=1e-9)
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("make", [MPC, *LAWS.values()], ids=["mpc", *LAWS])
-def test_both_drivers_give_the_same_run(make):
-    controller = make(CAR, profile="road") if make is MPC else make(CAR, period=0.05, preview=True)
-    drive = RoadDrive(HAIRPIN, 6.0)
-    run = simulate(PLANT, controller, drive, profile="road", seed=5)
-    other = rollout(PLANT, controller, drive, profile="road", seed=5)
-    for name in ("X", "Y", "psi", "command"):
-        np.testing.assert_array_equal(getattr(run, name), getattr(other, name))
-    for name in run.road:
-        np.testing.assert_array_equal(run.road[name], other.road[name])
 
 
 @pytest.mark.compiled

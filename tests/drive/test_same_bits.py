@@ -9,6 +9,7 @@ from tests.drive.test_simulate import same, users_car
 
 import adaptrack as at
 from adaptrack.drive.world import Driver
+from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario.profile import load_profile
 
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")
@@ -25,6 +26,8 @@ SINGLE, DUAL, CURVED = at.SingleTrack(CAR), at.DualTrack(CAR), at.DualTrack(CAR,
 LANE_CHANGE = at.load_scenario("lane-change", duration=3.0, speed=15.0)
 ROAD = at.generate_road("country", seed=1, length=150.0)
 BEND = at.RoadDrive(ROAD, at.plan_speed(ROAD, CAR, top_speed=14.0))
+TURN = Arc(length=15.0 * math.pi, curvature=1 / 15)
+HAIRPIN = at.RoadDrive(Road.from_segments([Line(length=40.0), TURN, Line(length=40.0)], name="hairpin"), 6.0)
 
 
 def wheels(speed, measured, command, a, b, parameters, memory, x, d):
@@ -76,8 +79,19 @@ DRIVES = {
         LANE_CHANGE, {"profile": "road"},
     ),
     "a user's plant": (users_car, published, LANE_CHANGE, {"profile": "paper"}),
+    "informed, hairpin": (DUAL, lambda: at.MPC(CAR, profile="road"), HAIRPIN, {"profile": "road"}),
 }  # fmt: skip
 """Plant, controller, drive and options by name."""
+LAWS = (at.KinematicMPC, at.LQR, at.PreviewLQR, at.PurePursuit, at.Stanley)
+DRIVES |= {
+    f"{law.__name__}, hairpin": (
+        DUAL,
+        functools.partial(law, CAR, period=0.05, preview=True),
+        HAIRPIN,
+        {"profile": "road"},
+    )
+    for law in LAWS
+}
 
 
 @pytest.mark.compiled
@@ -89,5 +103,5 @@ def test_a_drive_has_the_same_bits_in_python_compiled_and_among_others(name):
     assert same(run, at.rollout(plant, make(), drive, seed=7, **options))
     batch = at.rollout_batch(plant, make(), [drive], scenario_indices=[0] * 3, seeds=[3, 7, 4], **options)
     assert batch.steps[1] == len(run.t)
-    if drive is not BEND:
+    if not isinstance(drive, at.RoadDrive):
         assert batch.mse[1] == pytest.approx(np.mean(run.error**2), rel=1e-12)

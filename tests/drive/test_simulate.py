@@ -117,15 +117,9 @@ def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant
 
     def run(chosen, **options):
         return rollout_batch(
-            plant,
-            mpc,
-            drives,
-            tunings[chosen],
-            scenario_indices=indices[chosen],
-            seeds=seeds[chosen],
-            profile=profile,
-            **options,
-        )
+            plant, mpc, drives, tunings[chosen], scenario_indices=indices[chosen], seeds=seeds[chosen],
+            profile=profile, **options,
+        )  # fmt: skip
 
     everything = np.arange(75)
     serial = run(everything, threads=1)
@@ -297,11 +291,7 @@ def test_a_compiled_run_tells_tuning_from_diagnostics_of_one_name():
     """Both have `heading_error`: the weight, and the error itself."""
     controller = KinematicMPC(CAR)
     assert set(controller.tuning_names) & set(controller.diagnostic_names)
-    step = load_scenario("step", duration=3.0)
-    run, again = (drive(DualTrack(CAR), controller, step) for drive in (simulate, rollout))
-    for group in ("tuning", "diagnostics"):
-        for name, values in getattr(run, group).items():
-            assert np.array_equal(values, getattr(again, group)[name], equal_nan=True), name
+    assert same(*(drive(DualTrack(CAR), controller, SHORT) for drive in (simulate, rollout)))
 
 
 def test_a_run_that_failed_is_judged_at_each_instant_and_not_after_the_last():
@@ -353,11 +343,9 @@ def by_friction_and_wind():
 
 WINDY = SHORT.replace(friction=(0.9, 0.5), wind=(1.0, -8.0))
 KNOWN = {
-    "exactly": None,
-    "withheld": Perception(withheld=True),
-    "with errors": Perception(noise=0.1, bias=0.2, delay=0.2),
+    "exactly": None, "withheld": Perception(withheld=True), "with errors": Perception(noise=0.1, bias=0.2, delay=0.2),
     "estimated": FrictionWindEstimator.of(DualTrack(CAR), "road"),
-}
+}  # fmt: skip
 
 
 def known_run(drive, conditions, **options):

@@ -50,15 +50,10 @@ def wild(n=50, seed=1):
     arrays["Y"][-1] = np.inf
     arrays["vy"][-1] = -0.0
     return Trajectory(
-        **arrays,
-        period=0.05,
-        tuning={"Np": rng.integers(1, 60, n), "gain": rng.normal(size=n)},
-        diagnostics={"qp_residual": residual, "saturated": rng.normal(size=n) > 0},
-        units={"tuning.gain": "1/s"},
-        failed="off-road",
-        failed_at=5.1,
-        meta={"scenario": "step", "limits": (1, 2.5), "µ": None},
-    )
+        **arrays, period=0.05, tuning={"Np": rng.integers(1, 60, n), "gain": rng.normal(size=n)},
+        diagnostics={"qp_residual": residual, "saturated": rng.normal(size=n) > 0}, units={"tuning.gain": "1/s"},
+        failed="off-road", failed_at=5.1, meta={"scenario": "step", "limits": (1, 2.5), "µ": None},
+    )  # fmt: skip
 
 
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):

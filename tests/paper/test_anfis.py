@@ -23,13 +23,11 @@ def some_system(bell, seed=1):
     rng = np.random.default_rng(seed)
     width, centre = rng.uniform(0.5, 1.5, 5), rng.uniform(-1.0, 1.0, 5)
     return Sugeno(
-        owner=np.array([0, 0, 0, 1, 1]),
-        bell=np.array([bell, bell, False, bell, bell]),
+        owner=np.array([0, 0, 0, 1, 1]), bell=np.array([bell, bell, False, bell, bell]),
         premises=np.column_stack((width, rng.uniform(1.2, 2.5, 5), centre)),
-        rules=np.array([[0, 3], [1, ANY], [2, 4]]),
-        consequents=rng.normal(size=(3, 3)),
+        rules=np.array([[0, 3], [1, ANY], [2, 4]]), consequents=rng.normal(size=(3, 3)),
         weights=np.array([1.0, 0.5, 1.0]),
-    )
+    )  # fmt: skip
 
 
 # -- layers -----------------------------------------------------------------------------------------------------------
@@ -187,12 +185,9 @@ def test_the_trained_system_of_an_independent_anfis_predicts_the_same_here(kind,
     numbers = other.model_.get_parameters()
     functions = [function for group in numbers["membership"].values() for function in group]
     system = Sugeno(
-        owner=np.repeat([0, 1], 3),
-        bell=np.full(6, kind == "bell"),
+        owner=np.repeat([0, 1], 3), bell=np.full(6, kind == "bell"),
         premises=np.array([[function.get(name, 1.0) for name in names] for function in functions]),
-        rules=np.array(other.model_.rules) + np.array([0, 3]),
-        consequents=numbers["consequent"],
-        weights=np.ones(9),
-    )
+        rules=np.array(other.model_.rules) + np.array([0, 3]), consequents=numbers["consequent"], weights=np.ones(9),
+    )  # fmt: skip
     expected = np.ravel(other.predict(x))  # it adds 1e-8 to the sum of eq. (26)
     np.testing.assert_allclose(system.predict(x), expected, rtol=1e-6, atol=1e-7)

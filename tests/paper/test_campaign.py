@@ -116,10 +116,8 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
     ({"noise_seeds": "[1, 1]", "profile": '"road"'}, "noise_seeds: one is given twice"),
     ({"name": '"a/b"'}, "name = 'a/b'"),
     ({"operating_points": '{ kind = "grids" }'}, "operating_points.kind = 'grids': unknown. Did you mean 'grid'?"),
-    (
-        {"operating_points": '{ kind = "grid", speed = [1000.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
-        r"speed = 1000 in row 0: must be in \[1, 100\] m/s",
-    ),
+    ({"operating_points": '{ kind = "grid", speed = [1000.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
+     r"speed = 1000 in row 0: must be in \[1, 100\] m/s"),
     (
         {
             "operating_points": '{ kind = "sobol", n = 4, box = '

@@ -30,20 +30,12 @@ def wild(n=60, size=7, start=1, **changes):
     weights = 10.0 ** rng.uniform((-1, -3), (1, -1), (n, 2))
     tunings = np.column_stack([rng.integers(20, 50, n), rng.integers(1, 18, n), weights])
     arrays = {
-        "operating_points": sobol(n, BOX, start),
-        "tunings": tunings,
-        "costs": costs,
-        "standard_costs": 2.0 * costs,
-        "traces": rng.exponential(size=(n, 4)).astype(np.float32),
-        "landscape": landscape,
-        "library": rng.uniform(1, 9, (size, 4)),
-        "evaluations": np.full(n, 20),
-        "control_steps": rng.integers(1, 9999, n),
-        "stream": np.arange(n),
-        "mirrored_from": np.full(n, -1),
-        "seed": np.full(n, 3),
-        "provenance": {"name": "wild", "settings": {"profile": "road", "µ": None}},
-    }
+        "operating_points": sobol(n, BOX, start), "tunings": tunings, "costs": costs, "standard_costs": 2.0 * costs,
+        "traces": rng.exponential(size=(n, 4)).astype(np.float32), "landscape": landscape,
+        "library": rng.uniform(1, 9, (size, 4)), "evaluations": np.full(n, 20),
+        "control_steps": rng.integers(1, 9999, n), "stream": np.arange(n), "mirrored_from": np.full(n, -1),
+        "seed": np.full(n, 3), "provenance": {"name": "wild", "settings": {"profile": "road", "µ": None}},
+    }  # fmt: skip
     return DataSet(**(arrays | changes))
 
 

@@ -47,11 +47,8 @@ def test_the_model_is_the_single_track_on_its_tyre(tyre):
     calm = CAR.replace(side_force_slope=0.0, yaw_moment_slope=0.0)
     plant, speed, command = SingleTrack(calm, load_tyre(tyre)), 18.0, 0.06
     x, h, u, environment = (
-        np.array([0.0, 0.2, 0.05, speed, 0.1, 0.05]),
-        1e-4,
-        [command, 0.0, 0.0],
-        [1.0] * 4 + [0.0] * 3,
-    )
+        np.array([0.0, 0.2, 0.05, speed, 0.1, 0.05]), 1e-4, [command, 0.0, 0.0], [1.0] * 4 + [0.0] * 3,
+    )  # fmt: skip
     for _ in range(5000):
         x = x + h * plant.derivative(x + 0.5 * h * plant.derivative(x, u, environment), u, environment)
     start, errors = kernel.State(0.0, 0.2, 0.05, 0.1, 0.05, command), []

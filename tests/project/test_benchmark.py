@@ -1,4 +1,4 @@
-"""Benchmarks run and print their figures."""
+"""Benchmarks run and print their figures; the programs that compare two states find what differs."""
 
 import json
 import math
@@ -8,6 +8,8 @@ import sys
 
 import numpy as np
 import pytest
+from benchmarks import against_release
+from benchmarks.planted_faults import read_faults
 from tools import bench
 
 import adaptrack as at
@@ -38,19 +40,12 @@ def test_the_numpy_baseline_finds_the_moves_of_the_compiled_controller():
 QUICK = (
     "against_release.py . --only arrays/road-geometry --folder {folder}",
     "circuits.py --made 1 --no-holds --car midsize-sedan --profile road --lateral 4 --seed 5",
-    "code_figures.py --table",
-    "estimating.py --runs 1",
-    "foreign_loop.py --seeds 1",
-    "holding.py --drives 3",
-    "late_samples.py late --drives 1",
-    "learned_belief.py --train 28 --test 4",
-    "learning.py --cars 1",
-    "population.py --cars 10",
-    "roads_driven.py gate --length 300 --car paper",
-    "tuned_cars.py --vehicle van --profile road",
-    "unknown_cars.py --cars 2 --profile road",
+    "code_figures.py --table", "estimating.py --runs 1", "foreign_loop.py --seeds 1", "holding.py --drives 3",
+    "late_samples.py late --drives 1", "learned_belief.py --train 28 --test 4", "learning.py --cars 1",
+    "population.py --cars 10", "roads_driven.py gate --length 300 --car paper",
+    "tuned_cars.py --vehicle van --profile road", "unknown_cars.py --cars 2 --profile road",
     "wrong_inputs.py honest --drives 1",
-)
+)  # fmt: skip
 """Benchmarks with the arguments of their quick form."""
 
 
@@ -92,3 +87,50 @@ def test_the_log_of_a_car_is_identified_from_its_description(project, tmp_path):
     process = run_benchmark(f"real_logs.py {tmp_path / 'log.toml'} --json", project)
     (row,) = json.loads(process.stdout)
     assert "estimates" in row["identify"]
+
+
+# -- two states of the repository -------------------------------------------------------------------------------------
+@pytest.mark.parametrize("fault", read_faults(), ids=lambda fault: f"{fault.number} {fault.file}")
+def test_the_line_of_a_planted_fault_stands_in_its_file_once(fault, project):
+    assert fault.line(project) is not None
+
+
+ANSWER = {"exit code": 0, "answer": {"rows": [{"cost": 0.25, "name": "a"}, {"cost": None, "name": "b"}], "seconds": 3}}
+
+
+def lines(other, answer):
+    return list(against_release.compare(json.loads(json.dumps(other)), json.loads(json.dumps(answer))))
+
+
+def test_equal_answers_are_one_line_and_times_do_not_count():
+    assert lines(ANSWER, {**ANSWER, "answer": {**ANSWER["answer"], "seconds": 4}}) == [
+        "5 of 5 values are identical to the bit"
+    ]
+
+
+def test_a_last_digit_is_found_with_its_size():
+    (summary, difference) = lines({"rows": [1.0, 2.0]}, {"rows": [1.0, 2.0 + 2**-51]})
+    assert summary.startswith("1 of 2")
+    assert difference == "  /rows/*: 1 differ, by at most 4.4e-16, relative 2.2e-16"
+
+
+@pytest.mark.parametrize(("old", "new"), [(1, True), (0.0, None), ("a", "b"), (0, 0.0)])
+def test_values_of_another_kind_differ(old, new):
+    assert len(lines({"x": old}, {"x": new})) == 2
+
+
+def test_what_one_side_lacks_is_named_with_its_side():
+    (_, *difference) = lines({"a": 1, "b": 2}, {"a": 1, "c": 2})
+    assert difference == ["  /b: only in the other", "  /c: only in this tree"]
+
+
+def test_an_answer_that_is_missing_counts_as_a_difference(tmp_path, capsys):
+    (tmp_path / "lists-names.json").write_text("{}")
+    assert against_release.report(tmp_path, tmp_path / "none", [("lists", "names")]) == 1
+    assert "no " in capsys.readouterr().out
+
+
+def test_every_question_has_a_name_of_its_own_as_a_file():
+    files = [f"{group}-{name}" for group, name in against_release.questions(())]
+    assert len(files) == len(set(files))
+    assert list(against_release.questions(["drive/lap"])) == [("drive", "lap")]

@@ -16,8 +16,6 @@ import adaptrack
 from adaptrack.core.library import processor, source_hashes
 
 HEAVY = ("ziglang", "numpy", "scipy", "sklearn", "matplotlib", "pydantic", "pandas", "pyarrow", "typer")
-
-
 LIGHT = {
     "package": ("import adaptrack", HEAVY),
     "help": (

@@ -23,32 +23,23 @@ DOCS = PROJECT / "docs"
 PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
 
 LONG_COMMANDS = {
-    "compare": "1 minute to hours",
-    "certify": "5 s, and more with several inputs",
-    "check-loop": "needs a log",
+    "compare": "1 minute to hours", "certify": "5 s, and more with several inputs", "check-loop": "needs a log",
     "car my-car.toml --tir": "needs a tyre file",
     "drive country --vehicle my-car.toml": "needs a car that is identified or tuned",
     "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
     "drive road.csv --vehicle my-car.toml --controller informed": "needs a tuning that is found",
-    "identify": "needs a log",
-    "paper adapt": "39 minutes",
-    "paper campaign": "5 minutes",
-    "paper evaluate": "10 minutes",
-    "paper reproduce": "2 minutes",
-    "paper train": "30 s",
-    "shadow": "needs a log",
+    "identify": "needs a log", "paper adapt": "39 minutes", "paper campaign": "5 minutes",
+    "paper evaluate": "10 minutes", "paper reproduce": "2 minutes", "paper train": "30 s", "shadow": "needs a log",
     "tune": "1 to 20 minutes",
-}
+}  # fmt: skip
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""
 
 LONG_SNIPPETS = {
-    ("schedulers.md", "run_campaign("): "5 minutes",
-    ("certify.md", "loop_map("): "10 s",
+    ("schedulers.md", "run_campaign("): "5 minutes", ("certify.md", "loop_map("): "10 s",
     ("identify.md", 'at.identify("drive.csv"'): "10 s, and needs a log",
-    ("extending.md", "commonroad_plant("): "needs commonroad-vehicle-models",
-    ("schedulers.md", "train(data"): "20 s",
+    ("extending.md", "commonroad_plant("): "needs commonroad-vehicle-models", ("schedulers.md", "train(data"): "20 s",
     ("identify.md", "at.shadow("): "needs logs",
-}
+}  # fmt: skip
 """Python blocks of which only the imports are run, by page and something that they hold."""
 
 NEEDED = {

@@ -38,12 +38,10 @@ class Variant(NamedTuple):
 
 
 VARIANTS = {
-    Variant("pure-pursuit", False, 0.9): 0.35,
-    Variant("pure-pursuit", True, 0.6): 0.15,
-    Variant("default", False, (0.65, 0.9)): 0.25,
-    Variant("default", True, 0.9): 0.15,
+    Variant("pure-pursuit", False, 0.9): 0.35, Variant("pure-pursuit", True, 0.6): 0.15,
+    Variant("default", False, (0.65, 0.9)): 0.25, Variant("default", True, 0.9): 0.15,
     Variant("learning", False, (0.65, 0.9)): 0.1,
-}
+}  # fmt: skip
 """And their shares of the drives."""
 
 
