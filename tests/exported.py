@@ -59,13 +59,13 @@ def text_with_headers(source, folder):
     return "\0".join(texts)
 
 
-def compile_export(folder, options=("-O0", *EXACT_OPTIONS)):
+def compile_export(folder):
     """The objects of an export's C sources; what exports of this session have in common is compiled once."""
-    command = [find_program("gcc"), *STRICT, *options, "-fPIC", f"-I{folder}/include"]
+    command = [find_program("gcc"), *STRICT, "-O0", *EXACT_OPTIONS, "-fPIC", f"-I{folder}/include"]
     session = next((parent for parent in folder.parents if re.fullmatch(r"pytest-\d+", parent.name)), folder)
     objects = []
     for source in sorted((folder / "src").glob("*.c")):
-        text = " ".join(options) + text_with_headers(source, (folder / "src", folder / "include"))
+        text = text_with_headers(source, (folder / "src", folder / "include"))
         objects.append(session / f"{hashlib.sha256(text.encode()).hexdigest()}.o")
         if not objects[-1].exists():
             part = folder / f"{source.stem}.o"
@@ -75,19 +75,19 @@ def compile_export(folder, options=("-O0", *EXACT_OPTIONS)):
     return objects
 
 
-def link_export(folder, options=("-O0", *EXACT_OPTIONS)):
+def link_export(folder):
     """A shared library of an export."""
-    library, objects = folder / "tracker.so", compile_export(folder, options)
-    subprocess.run([find_program("gcc"), *options, "-shared", *objects, "-o", library], check=True)
+    library = folder / "tracker.so"
+    subprocess.run([find_program("gcc"), "-shared", *compile_export(folder), "-o", library], check=True)
     return library
 
 
 class Exported:
     """An export, linked into a shared library."""
 
-    def __init__(self, folder, controller, options=("-O0", *EXACT_OPTIONS)):
+    def __init__(self, folder, controller):
         self.folder, self.controller = folder, controller
-        self.c = ctypes.CDLL(str(link_export(folder, options)))
+        self.c = ctypes.CDLL(str(link_export(folder)))
         for name in ("size", "path_size", "state_size"):
             getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
         self.constants = (folder / "constants.bin").read_bytes()
