@@ -30,31 +30,31 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 """around the table in a page"""
 
 CEILINGS: Mapping[str, int] = {
-    "base": 2250,
-    "core": 26510,
-    "cars": 2200,
-    "road": 4710,
-    "scenario": 1900,
-    "control": 7820,
-    "drive": 3080,
+    "base": 2270,
+    "core": 25570,
+    "cars": 2180,
+    "road": 4680,
+    "scenario": 1880,
+    "control": 7570,
+    "drive": 2960,
     "analysis": 1950,
-    "identification": 5140,
-    "tuning": 1680,
+    "identification": 5130,
+    "tuning": 1650,
     "comparison": 2110,
-    "paper": 4290,
-    "export": 3360,
+    "paper": 4250,
+    "export": 3210,
     "gym": 1320,
-    "results": 5380,
-    "cli": 3550,
+    "results": 5220,
+    "cli": 3400,
     "adaptrack": 40,
-    "JavaScript, templates, C": 10200,
-    "tests": 42700,
-    "benchmarks, tools, experiments, examples": 15360,
+    "JavaScript, templates, C": 9680,
+    "tests": 42460,
+    "benchmarks, tools, experiments, examples": 15310,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 77_210
+SOURCE_LINES = 75_330
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 

@@ -116,28 +116,25 @@ def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
     assert type(Box(np.float32(2)).width) is float
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ({"speed": -1}, "drive: speed = -1 m/s: must be a finite number > 0."),
-        (
-            {"speed": 1e9},
-            "drive: speed = 1000000000.0 m/s: at most 100 m/s (360 km/h; at higher speeds tyre dynamics need",
-        ),
-        ({"moves": 0}, "drive: moves = 0: must be a whole number >= 1."),
-        ({"moves": 10**9}, "drive: moves = 1000000000: at most 200 control periods (the time of a QP grows"),
-        ({"angle": 3.0}, "drive: angle = 3.0 rad: must be a pair; give (low, high)."),
-        ({"angle": (0.0, math.inf)}, "drive: angle[1] = inf rad: must be a finite number; give (low, high)."),
-        ({"weights": {"q": -1}}, "drive: weights['q'] = -1: must be a finite number >= 0."),
-        ({"weights": 3}, "drive: weights = 3: must be a mapping of names or None."),
-        ({"widths": (1, 0)}, "drive: widths[1] = 0: must be a whole number >= 1."),
-        ({"widths": 3}, "drive: widths = 3: must be a sequence."),
-        ({"kind": "puls"}, "drive: kind = 'puls': must be one of 'pulse', 'laguerre' or None."),
-        ({"unsure": 2.0}, "drive: unsure = 2.0: must be an Uncertainty or None; Uncertainty(lag) gives one."),
-        ({"pause": 0}, "drive: pause = 0 s: must be a finite number > 0 or None."),
-        ({"pole": 1.0}, "drive: pole = 1.0: must be a finite number >= 0 and < 1."),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "sentence"), [
+    ({"speed": -1}, "drive: speed = -1 m/s: must be a finite number > 0."),
+    (
+        {"speed": 1e9},
+        "drive: speed = 1000000000.0 m/s: at most 100 m/s (360 km/h; at higher speeds tyre dynamics need",
+    ),
+    ({"moves": 0}, "drive: moves = 0: must be a whole number >= 1."),
+    ({"moves": 10**9}, "drive: moves = 1000000000: at most 200 control periods (the time of a QP grows"),
+    ({"angle": 3.0}, "drive: angle = 3.0 rad: must be a pair; give (low, high)."),
+    ({"angle": (0.0, math.inf)}, "drive: angle[1] = inf rad: must be a finite number; give (low, high)."),
+    ({"weights": {"q": -1}}, "drive: weights['q'] = -1: must be a finite number >= 0."),
+    ({"weights": 3}, "drive: weights = 3: must be a mapping of names or None."),
+    ({"widths": (1, 0)}, "drive: widths[1] = 0: must be a whole number >= 1."),
+    ({"widths": 3}, "drive: widths = 3: must be a sequence."),
+    ({"kind": "puls"}, "drive: kind = 'puls': must be one of 'pulse', 'laguerre' or None."),
+    ({"unsure": 2.0}, "drive: unsure = 2.0: must be an Uncertainty or None; Uncertainty(lag) gives one."),
+    ({"pause": 0}, "drive: pause = 0 s: must be a finite number > 0 or None."),
+    ({"pole": 1.0}, "drive: pole = 1.0: must be a finite number >= 0 and < 1."),
+])  # fmt: skip
 def test_a_refusal_names_call_argument_value_unit_and_what_is_allowed(arguments: dict[str, Any], sentence: str) -> None:
     assert refusal(lambda: drive(None, **arguments)).startswith(sentence)
 

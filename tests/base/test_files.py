@@ -132,13 +132,10 @@ def test_a_link_is_written_through_or_replaced_as_asked(tmp_path):
     assert not (tmp_path / "link").is_symlink()
 
 
-@pytest.mark.parametrize(
-    ("function", "error", "words"),
-    [
-        ("replace", OSError(28, "No space left on device"), "car.toml: cannot be written: No space left on device"),
-        ("fsync", KeyboardInterrupt("Ctrl-C"), "Ctrl-C"),
-    ],
-)
+@pytest.mark.parametrize(("function", "error", "words"), [
+    ("replace", OSError(28, "No space left on device"), "car.toml: cannot be written: No space left on device"),
+    ("fsync", KeyboardInterrupt("Ctrl-C"), "Ctrl-C"),
+])  # fmt: skip
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, function, error, words):
     path = tmp_path / "car.toml"
     path.write_text("old")

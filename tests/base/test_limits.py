@@ -29,22 +29,19 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
         assert len(str(refused.value)) < 120
 
 
-@pytest.mark.parametrize(
-    ("words", "make"),
-    [
-        ("speed", lambda: load_scenario("step", speed=1e15)),
-        ("duration", lambda: load_scenario("step", duration=1e12)),
-        ("duration", lambda: Scenario(name="long", duration=1e9, reference=0.0, speed=10.0, friction=0.8)),
-        ("periods", lambda: load_scenario("step", duration=100.0).sample(1e-6)),
-        ("Np", lambda: Tuning(Np=10**9)),
-        ("Nc", lambda: Tuning(Np=1000, Nc=1000)),
-        ("terms", lambda: Moves("laguerre", terms=10**9)),
-        ("longest_horizon", lambda: published_mpc(load_vehicle("paper"), longest_horizon=10**9)),
-        ("most_moves", lambda: published_mpc(load_vehicle("paper"), most_moves=10**9)),
-        ("noise_seeds", lambda: small_campaign(profile="road", noise_seeds=tuple(range(100_000)))),
-        ("landscape", lambda: CampaignPlan.of(sobol(10**6, 10_000))),
-    ],
-)
+@pytest.mark.parametrize(("words", "make"), [
+    ("speed", lambda: load_scenario("step", speed=1e15)),
+    ("duration", lambda: load_scenario("step", duration=1e12)),
+    ("duration", lambda: Scenario(name="long", duration=1e9, reference=0.0, speed=10.0, friction=0.8)),
+    ("periods", lambda: load_scenario("step", duration=100.0).sample(1e-6)),
+    ("Np", lambda: Tuning(Np=10**9)),
+    ("Nc", lambda: Tuning(Np=1000, Nc=1000)),
+    ("terms", lambda: Moves("laguerre", terms=10**9)),
+    ("longest_horizon", lambda: published_mpc(load_vehicle("paper"), longest_horizon=10**9)),
+    ("most_moves", lambda: published_mpc(load_vehicle("paper"), most_moves=10**9)),
+    ("noise_seeds", lambda: small_campaign(profile="road", noise_seeds=tuple(range(100_000)))),
+    ("landscape", lambda: CampaignPlan.of(sobol(10**6, 10_000))),
+])  # fmt: skip
 def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(words, make):
     with pytest.raises(InvalidInput, match=words):
         make()

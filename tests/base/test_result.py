@@ -18,11 +18,9 @@ ROWS = [
     {"who": "stanley <b>", "test": "step", "rms": None, "share": 0.0001, "range": None},
 ]
 COLUMNS = (
-    Column("who", "Controller"),
-    Column("rms", "RMS error", "m", 3, "root of the mean squared error"),
-    Column("share", "Limits", "%", "percent"),
-    Column("range", "From to", "s", 2),
-)
+    Column("who", "Controller"), Column("rms", "RMS error", "m", 3, "root of the mean squared error"),
+    Column("share", "Limits", "%", "percent"), Column("range", "From to", "s", 2),
+)  # fmt: skip
 
 
 def panel():
@@ -35,14 +33,9 @@ def panel():
 
 def result(**fields):
     table = ResultTable(
-        "runs",
-        "All runs",
-        COLUMNS,
-        ROWS,
-        group="test",
-        best=select_entries(ROWS, ["rms"], lambda row: row["rms"]),
+        "runs", "All runs", COLUMNS, ROWS, group="test", best=select_entries(ROWS, ["rms"], lambda row: row["rms"]),
         brief=True,
-    )
+    )  # fmt: skip
     picture = Picture("line", "A line.", [panel()])
     return Result(
         kind="a kind without a template", title="A title", answer="1.6 cm RMS.", tables=[table], pictures=[picture],

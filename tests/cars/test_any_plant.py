@@ -32,13 +32,9 @@ from adaptrack.tuning.runs import operating_point_runs
 CAR = load_vehicle("paper")
 POINTS = [[10.0, 1.0, 0.9, 5.0], [20.0, -2.0, 0.6, -10.0]]
 SMALL = TuningEffort(
-    drives=2,
-    hard_drives=1,
-    seconds=5.0,
-    swarm=SwarmSettings(particles=4, generations=2),
-    unseen_drives=4,
+    drives=2, hard_drives=1, seconds=5.0, swarm=SwarmSettings(particles=4, generations=2), unseen_drives=4,
     levels=(3, 2),
-)
+)  # fmt: skip
 
 
 class Sliding(at.SteppedPlant):

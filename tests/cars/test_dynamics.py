@@ -88,13 +88,10 @@ def wild_state(rng, plant):
 
 def wild_inputs(rng, is_driven):
     return inputs(
-        rng.uniform(-0.6, 0.6),
-        rng.uniform(-16000, 9000) if is_driven else 0.0,
-        np.nan if is_driven else rng.uniform(-6, 4),
-        friction=rng.uniform(0.05, 1.2, 4),
-        wind=rng.uniform(-40, 40, 2),
+        rng.uniform(-0.6, 0.6), rng.uniform(-16000, 9000) if is_driven else 0.0,
+        np.nan if is_driven else rng.uniform(-6, 4), friction=rng.uniform(0.05, 1.2, 4), wind=rng.uniform(-40, 40, 2),
         bank=rng.uniform(-2, 2),
-    )
+    )  # fmt: skip
 
 
 # -- a second opinion -------------------------------------------------------------------------------------------------

@@ -35,16 +35,13 @@ def test_hold_pressure_of_a_standing_car_is_a_brake_pedal_that_also_holds_its_cr
     assert MAP.force_at(throttle, brake, 0.0) == pytest.approx(-1600.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"throttle": [0.0, 10.0, 40.0, 100.0]}, "throttle must begin with 0 and end at most at 1"),
-        ({"speed": [0.0, 3.0, 3.0]}, "speed must begin .* rise from value to value"),
-        ({"force": MAP.force[:2]}, "a row for each speed"),
-        ({"force": [*MAP.force[:2], (0.0, 5.0, 4.0, 9.0)]}, "force at 20 m/s is 0, 5, 4, 9 N: .* none below"),
-        ({"brake_force": [0.0, 10.0]}, "brake_force is 0, 10 N: give a value for each position of brake"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"throttle": [0.0, 10.0, 40.0, 100.0]}, "throttle must begin with 0 and end at most at 1"),
+    ({"speed": [0.0, 3.0, 3.0]}, "speed must begin .* rise from value to value"),
+    ({"force": MAP.force[:2]}, "a row for each speed"),
+    ({"force": [*MAP.force[:2], (0.0, 5.0, 4.0, 9.0)]}, "force at 20 m/s is 0, 5, 4, 9 N: .* none below"),
+    ({"brake_force": [0.0, 10.0]}, "brake_force is 0, 10 N: give a value for each position of brake"),
+])  # fmt: skip
 def test_a_table_that_is_no_map_is_refused_with_its_place(changes, message) -> None:
     with pytest.raises(InvalidInput, match=message):
         MAP.replace(**changes)

@@ -249,14 +249,11 @@ def test_the_number_of_steps_is_a_positive_integer(steps):
         SingleTrack(CAR, steps=steps)
 
 
-@pytest.mark.parametrize(
-    ("x", "u", "environment", "names"),
-    [
-        (np.zeros(5), np.zeros(2), np.ones(6), "x:"),
-        (np.zeros(6), np.zeros(4), np.ones(6), "u:"),
-        (np.zeros(6), np.zeros(2), np.ones(4), "environment:"),
-    ],
-)
+@pytest.mark.parametrize(("x", "u", "environment", "names"), [
+    (np.zeros(5), np.zeros(2), np.ones(6), "x:"),
+    (np.zeros(6), np.zeros(4), np.ones(6), "u:"),
+    (np.zeros(6), np.zeros(2), np.ones(4), "environment:"),
+])  # fmt: skip
 def test_a_derivative_refuses_arrays_of_the_wrong_shape(x, u, environment, names):
     for plant in (SingleTrack(CAR), user_plant()):
         with pytest.raises(InvalidInput, match=names):

@@ -72,19 +72,16 @@ def test_an_axle_may_be_left_empty_in_some_rows_but_loads_are_needed(tmp_path):
     assert tyre_from_table(path, LOADS).deviation < 0.02
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t.replace("slip_rad", "slip"), r"column 'slip': unknown. Did you mean 'slip_"),
-        (lambda t: t.replace("force_rear_N", "force_front_N"), "stands there twice"),
-        (lambda t: t.replace("slip_rad,force_front_N,force_rear_N", "slip_rad,force_front_N,load_front_N"), "needs"),
-        (lambda t: "", "is empty"),
-        (lambda t: t.replace("0.18,", "nan,", 1), r"line 2: slip_rad = '.*nan': must be a finite number"),
-        (lambda t: t + "1,2\n", r"line 33: 2 cells, the head has 3"),
-        (lambda t: "\n".join(t.splitlines()[:4]), "needs at least 5"),
-        (lambda t: t.replace("slip_rad,force_front_N", "force_front_N,slip_rad"), "no tyre is measured there"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda t: t.replace("slip_rad", "slip"), r"column 'slip': unknown. Did you mean 'slip_"),
+    (lambda t: t.replace("force_rear_N", "force_front_N"), "stands there twice"),
+    (lambda t: t.replace("slip_rad,force_front_N,force_rear_N", "slip_rad,force_front_N,load_front_N"), "needs"),
+    (lambda t: "", "is empty"),
+    (lambda t: t.replace("0.18,", "nan,", 1), r"line 2: slip_rad = '.*nan': must be a finite number"),
+    (lambda t: t + "1,2\n", r"line 33: 2 cells, the head has 3"),
+    (lambda t: "\n".join(t.splitlines()[:4]), "needs at least 5"),
+    (lambda t: t.replace("slip_rad,force_front_N", "force_front_N,slip_rad"), "no tyre is measured there"),
+])  # fmt: skip
 def test_a_table_that_is_none_is_named(tmp_path, change, message):
     path = table(tmp_path / "axles.csv")
     path.write_text(change(path.read_text()))

@@ -185,15 +185,12 @@ class TestFields:
             with pytest.raises(InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
                 car(**{name: value})
 
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"mass": 1.5}, r"yaw_inertia/\(mass lf lr\) = .*Give the mass in kg"),
-            ({"yaw_inertia": 2.5}, "do not belong together"),
-            ({"stiffness_front": 1.0e3}, "stiffness_front = 1000 N/rad is .* N/deg times 57.3"),
-            ({"stiffness_rear": 60.0}, "stiffness_rear = 60 N/rad .* kN/rad times 1000"),
-        ],
-    )
+    @pytest.mark.parametrize(("changes", "message"), [
+        ({"mass": 1.5}, r"yaw_inertia/\(mass lf lr\) = .*Give the mass in kg"),
+        ({"yaw_inertia": 2.5}, "do not belong together"),
+        ({"stiffness_front": 1.0e3}, "stiffness_front = 1000 N/rad is .* N/deg times 57.3"),
+        ({"stiffness_rear": 60.0}, "stiffness_rear = 60 N/rad .* kN/rad times 1000"),
+    ])  # fmt: skip
     def test_numbers_in_another_unit_than_the_others_are_refused_with_the_remedy(self, changes, message):
         with pytest.raises(InvalidInput, match=message):
             load_vehicle("midsize-sedan").replace(**changes)
@@ -227,21 +224,18 @@ class TestActuator:
         assert (ideal.lag, ideal.rate) == (0, math.inf)
         assert ideal.limit >= math.pi / 6  # the MPC's own bound stays the tighter one
 
-    @pytest.mark.parametrize(
-        ("make", "words"),
-        [
-            (lambda: tyre(relaxation_length=-0.1), "relaxation_length = -0.1: must be a finite number >= 0"),
-            (lambda: tyre(stiffness_load="digressive"), "a digressive stiffness needs the load ratio"),
-            (lambda: tyre(stiffness_load="linear", digressive_load_ratio=2.0), "= 2.0: only stiffness_load = 'digress"),
-            (lambda: SteeringActuator(rate=0.5), "rate = 0.5: a rate limit acts on the lag: give lag > 0"),
-            (lambda: SteeringActuator(lag=0.1, rate=0), "rate = 0"),
-            (lambda: SteeringActuator(lag=-0.1), "lag = -0.1"),
-            (lambda: SteeringActuator(limit=2.0), "limit = 2.0"),
-            (lambda: load_vehicle("midsize-sedn"), "no vehicle is named 'midsize-sedn'. Did you mean 'midsize-sedan'"),
-            (lambda: load_tyre("passanger-car"), "Did you mean 'passenger-car'"),
-            (lambda: load_vehicle(3), "= 3: must be text or a path"),
-        ],
-    )
+    @pytest.mark.parametrize(("make", "words"), [
+        (lambda: tyre(relaxation_length=-0.1), "relaxation_length = -0.1: must be a finite number >= 0"),
+        (lambda: tyre(stiffness_load="digressive"), "a digressive stiffness needs the load ratio"),
+        (lambda: tyre(stiffness_load="linear", digressive_load_ratio=2.0), "= 2.0: only stiffness_load = 'digress"),
+        (lambda: SteeringActuator(rate=0.5), "rate = 0.5: a rate limit acts on the lag: give lag > 0"),
+        (lambda: SteeringActuator(lag=0.1, rate=0), "rate = 0"),
+        (lambda: SteeringActuator(lag=-0.1), "lag = -0.1"),
+        (lambda: SteeringActuator(limit=2.0), "limit = 2.0"),
+        (lambda: load_vehicle("midsize-sedn"), "no vehicle is named 'midsize-sedn'. Did you mean 'midsize-sedan'"),
+        (lambda: load_tyre("passanger-car"), "Did you mean 'passenger-car'"),
+        (lambda: load_vehicle(3), "= 3: must be text or a path"),
+    ])  # fmt: skip
     def test_impossible_tyres_steering_and_names_are_refused(self, make, words):
         with pytest.raises((InvalidInput, UnknownName), match=words):
             make()
@@ -405,26 +399,23 @@ class TestOwnFiles:
         assert load_vehicle(tmp_path / "copy.toml").steering == steering
         assert load_vehicle("paper").steering is None
 
-    @pytest.mark.parametrize(
-        ("line", "message"),
-        [
-            ("colour = 'red'", r"colour: unknown key. Known: 'air_density', .*'yaw_moment_slope'\."),
-            ("cg_height = -0.5", r"cg_height = -0.5: must be a finite number >= 0 and <= 5 \(m, centre of gravity"),
-            ("wind_angle_limit = 17", r"wind_angle_limit = 17: must be a finite number > 0 and <= 1.5708 \(rad"),
-            ("tyre = 'pasenger-car'", r"tyre = 'pasenger-car': unknown tyre. Did you mean 'passenger-car'\?"),
-            ("tyre = 'nowhere.toml'", r"tyre = '.*nowhere.toml': no such file"),
-            ("name = ''", r"name = ''"),
-            ("mass = 3", r"mine.toml.*: not valid TOML"),
-            ("[steering]\nlagg = 0.2", r"steering.lagg: unknown key. Did you mean 'lag'\?"),
-            ("[steering]\nrate = inf", r"steering.rate = inf: must be a finite number > 0 and <= 100 \(rad/s, "),
-            ("[known_within]\nmass = 0.9", "known_within.mass = 0.9: must be a finite number >= 1"),
-            ("[known_within]\nlf = -0.1", "known_within.lf = -0.1: must be a finite number >= 0"),
-            ("[domain]\nspeed = [9.0, 4.0]", "speed = .9, 4.: need 0 < lowest"),
-            ("[domain]\nfriction = [0.0, 1.0]", "friction"),
-            ("[domain]\nlane_width = 0.0", "domain.lane_width"),
-            ("estimated = ['masses']", "'masses' is no number of a car. Did you mean 'mass'"),
-        ],
-    )
+    @pytest.mark.parametrize(("line", "message"), [
+        ("colour = 'red'", r"colour: unknown key. Known: 'air_density', .*'yaw_moment_slope'\."),
+        ("cg_height = -0.5", r"cg_height = -0.5: must be a finite number >= 0 and <= 5 \(m, centre of gravity"),
+        ("wind_angle_limit = 17", r"wind_angle_limit = 17: must be a finite number > 0 and <= 1.5708 \(rad"),
+        ("tyre = 'pasenger-car'", r"tyre = 'pasenger-car': unknown tyre. Did you mean 'passenger-car'\?"),
+        ("tyre = 'nowhere.toml'", r"tyre = '.*nowhere.toml': no such file"),
+        ("name = ''", r"name = ''"),
+        ("mass = 3", r"mine.toml.*: not valid TOML"),
+        ("[steering]\nlagg = 0.2", r"steering.lagg: unknown key. Did you mean 'lag'\?"),
+        ("[steering]\nrate = inf", r"steering.rate = inf: must be a finite number > 0 and <= 100 \(rad/s, "),
+        ("[known_within]\nmass = 0.9", "known_within.mass = 0.9: must be a finite number >= 1"),
+        ("[known_within]\nlf = -0.1", "known_within.lf = -0.1: must be a finite number >= 0"),
+        ("[domain]\nspeed = [9.0, 4.0]", "speed = .9, 4.: need 0 < lowest"),
+        ("[domain]\nfriction = [0.0, 1.0]", "friction"),
+        ("[domain]\nlane_width = 0.0", "domain.lane_width"),
+        ("estimated = ['masses']", "'masses' is no number of a car. Did you mean 'mass'"),
+    ])  # fmt: skip
     def test_an_impossible_line_is_named_with_file_key_value_and_remedy(self, tmp_path, line, message):
         path = self.write(tmp_path, OWN_CAR + line)
         with pytest.raises(ConfigError, match=message) as caught:

@@ -76,21 +76,18 @@ def test_a_table_of_axle_forces_is_fitted_at_the_loads_of_the_car(run_command, t
     assert result["car"]["stiffness_front"] == pytest.approx(result["tyre"]["tyre"]["stiffness_front"], rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "name a car, or give --mass and --wheelbase, or --tir"),
-        (["vann"], "no vehicle is named 'vann'. Did you mean 'van'?"),
-        (["--mass", 1500], "--wheelbase is missing"),
-        (["--lf", 1.1], "needs --mass and --wheelbase"),
-        (["van", "--mass", 1500], "van is an existing car"),
-        (["van", "--out", "car.json"], "--out car.json: must end in .toml"),
-        (["--mass", 3, "--wheelbase", 0.3], "mass = 3.0 kg: must be a finite number >= 600 and <= 3500"),
-        (["van", "--tir", "none.tir"], "none.tir"),
-        (["van", "--tir", "a.tir", "--tyre-table", "b.csv"], "give only one of them"),
-        (["--tyre-table", "b.csv"], "name a car"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    ([], "name a car, or give --mass and --wheelbase, or --tir"),
+    (["vann"], "no vehicle is named 'vann'. Did you mean 'van'?"),
+    (["--mass", 1500], "--wheelbase is missing"),
+    (["--lf", 1.1], "needs --mass and --wheelbase"),
+    (["van", "--mass", 1500], "van is an existing car"),
+    (["van", "--out", "car.json"], "--out car.json: must end in .toml"),
+    (["--mass", 3, "--wheelbase", 0.3], "mass = 3.0 kg: must be a finite number >= 600 and <= 3500"),
+    (["van", "--tir", "none.tir"], "none.tir"),
+    (["van", "--tir", "a.tir", "--tyre-table", "b.csv"], "give only one of them"),
+    (["--tyre-table", "b.csv"], "name a car"),
+])  # fmt: skip
 def test_bad_input_is_named_in_one_sentence(run_command, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     code, _, err = run_command("car", *arguments)

@@ -140,20 +140,17 @@ SCENARIO, ROAD = "duration = 1.0\nreference = 0.0\nspeed = 10.0\n", "points = [[
 BOTH = r"as a scenario, and .* as a road: remove one"
 
 
-@pytest.mark.parametrize(
-    ("file", "text", "reading"),
-    [
-        ("a.toml", SCENARIO, False),
-        ("a.toml", ROAD, True),
-        ("a.toml", 'name = "empty"\n', True),
-        ("a.toml", SCENARIO + ROAD, BOTH),
-        ("a.csv", "t,y_ref,speed,friction,wind_y\n0,0,10,0.9,0\n", False),
-        ("a.csv", "x,y\n0,0\n", True),
-        ("a.csv", "t,x,y\n0,0,0\n", True),
-        ("a.csv", "0.0,0.0\n1.0,0.0\n", True),
-        ("a.csv", "t,y_ref,x,y\n0,0,0,0\n", BOTH),
-    ],
-)
+@pytest.mark.parametrize(("file", "text", "reading"), [
+    ("a.toml", SCENARIO, False),
+    ("a.toml", ROAD, True),
+    ("a.toml", 'name = "empty"\n', True),
+    ("a.toml", SCENARIO + ROAD, BOTH),
+    ("a.csv", "t,y_ref,speed,friction,wind_y\n0,0,10,0.9,0\n", False),
+    ("a.csv", "x,y\n0,0\n", True),
+    ("a.csv", "t,x,y\n0,0,0\n", True),
+    ("a.csv", "0.0,0.0\n1.0,0.0\n", True),
+    ("a.csv", "t,y_ref,x,y\n0,0,0,0\n", BOTH),
+])  # fmt: skip
 def test_a_file_with_a_scenarios_keys_or_columns_is_a_scenario_otherwise_a_road_and_never_both(
     tmp_path, file, text, reading
 ):
@@ -173,16 +170,13 @@ def test_a_name_of_a_scenario_and_of_a_road_is_refused(monkeypatch):
         is_road("twon")
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["sine", "town"], "give several scenarios or one road"),
-        (["sine", "--speed", "12"], "sine is a scenario: --speed is an option of roads"),
-        (["sine", "--laps", "2"], "sine is a scenario: --laps is an option of roads"),
-        (["town", "-o", "speed=12"], "town is a road: --option is an option of scenarios"),
-        (["{points}", "--laps", "2"], "--closed"),
-    ],
-)
+@pytest.mark.parametrize(("words", "sentence"), [
+    (["sine", "town"], "give several scenarios or one road"),
+    (["sine", "--speed", "12"], "sine is a scenario: --speed is an option of roads"),
+    (["sine", "--laps", "2"], "sine is a scenario: --laps is an option of roads"),
+    (["town", "-o", "speed=12"], "town is a road: --option is an option of scenarios"),
+    (["{points}", "--laps", "2"], "--closed"),
+])  # fmt: skip
 def test_options_of_the_other_kind_are_refused(run_command, points, words, sentence):
     code, out, err = run_command("drive", *(word.format(points=points) for word in words))
     assert (code, out) == (2, "")
@@ -213,17 +207,14 @@ def test_a_drive_with_speed_control_says_its_speed_error_stops_and_delay_and_sho
     assert "limited_by" in run.diagnostics
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--stop", "300"], "--stop 300: write S:SECONDS"),
-        (["--stop", "here:5"], "--stop here:5: write S:SECONDS"),
-        (["--stop", "9000:5"], "must lie on the road"),
-        (["--stop", "100:-1"], "for a time >= 0 s"),
-        (["--stop", "100:1", "--speed", "10"], "leave out --speed"),
-        (["--start", "0", "--speed", "10"], "leave out --speed"),
-    ],
-)
+@pytest.mark.parametrize(("words", "sentence"), [
+    (["--stop", "300"], "--stop 300: write S:SECONDS"),
+    (["--stop", "here:5"], "--stop here:5: write S:SECONDS"),
+    (["--stop", "9000:5"], "must lie on the road"),
+    (["--stop", "100:-1"], "for a time >= 0 s"),
+    (["--stop", "100:1", "--speed", "10"], "leave out --speed"),
+    (["--start", "0", "--speed", "10"], "leave out --speed"),
+])  # fmt: skip
 def test_stops_that_cannot_be_planned_are_refused(run_command, words, sentence):
     code, _, err = run_command("drive", *SPEED_WORDS, *words)
     assert code == 2

@@ -33,16 +33,12 @@ GUARDED = (
 )
 
 
-@pytest.mark.parametrize(
-    ("module", "code"),
-    [
-        ("typer", f"{PRESS}time.sleep(30)"),
-        ("numpy", f"{PRESS}time.sleep(30)"),
-        ("numpy", f"{GUARDED}\n    raise ImportError"),
-        ("numpy", f"{GUARDED}\n    pass\ntime.sleep(30)"),
-    ],
-    ids=["of-typer", "of-numpy", "turned-into-another-error", "swallowed-by-a-callback"],
-)
+@pytest.mark.parametrize(("module", "code"), [
+    ("typer", f"{PRESS}time.sleep(30)"),
+    ("numpy", f"{PRESS}time.sleep(30)"),
+    ("numpy", f"{GUARDED}\n    raise ImportError"),
+    ("numpy", f"{GUARDED}\n    pass\ntime.sleep(30)"),
+], ids=["of-typer", "of-numpy", "turned-into-another-error", "swallowed-by-a-callback"])  # fmt: skip
 def test_ctrl_c_during_an_import_is_one_sentence_and_exit_code_130(tmp_path, module, code):
     (tmp_path / f"{module}.py").write_text(code)
     begun = time.monotonic()
@@ -60,19 +56,16 @@ def press_ctrl_c(*arguments, **options):
     pytest.fail("Ctrl-C was not heard")
 
 
-@pytest.mark.parametrize(
-    ("command", "stopped_in", "words"),
-    [
-        ("drive step", "adaptrack.load_scenario", "Nothing was written"),
-        ("paper reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
-        ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to continue"),
-        (
-            "paper campaign paper-grid --out {out}",
-            "adaptrack.paper.campaign.run_campaign",
-            "{out}: run the command again to continue",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("command", "stopped_in", "words"), [
+    ("drive step", "adaptrack.load_scenario", "Nothing was written"),
+    ("paper reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
+    ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to continue"),
+    (
+        "paper campaign paper-grid --out {out}",
+        "adaptrack.paper.campaign.run_campaign",
+        "{out}: run the command again to continue",
+    ),
+])  # fmt: skip
 def test_every_command_answers_ctrl_c_with_what_is_kept(run_command, monkeypatch, tmp_path, command, stopped_in, words):
     module, _, name = stopped_in.rpartition(".")
     monkeypatch.setattr(importlib.import_module(module), name, press_ctrl_c)

@@ -102,24 +102,21 @@ def test_compare_drives_all_on_the_same_roads_and_leaves_out_what_does_not_fit(t
     assert "was found for the profile 'road', not 'production'" in reasons[str(file)]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["tune", "town", "--out", "{out}"], "tune CAR --road town"),
-        (["tune", "papre", "--out", "{out}"], "Did you mean 'paper'"),
-        (["tune", "paper", "--controller", "lqr", "--out", "{out}"], "--controller does not apply: name roads"),
-        (["tune", "paper", "--road", "town", "--speed", "5..9", "--out", "{out}"], "--speed does not apply"),
-        (["tune", "paper", "--speed", "5", "--out", "{out}"], "must be LOW..HIGH"),
-        (["tune", "paper", "--road", "town", "--controller", "nn", "--out", "{out}"], "tunable controllers: as-"),
-        (["tune", "paper", "--road", "town", "--runs", "19", "--out", "{out}"], "give at least 20"),
-        (["compare", "town", "--controller", "stanly"], "Did you mean 'stanley'"),
-        (["compare", "country:101"], "is a test road as well"),
-        (["compare", "--config", "standart"], "Did you mean 'standard'"),
-        (["compare", "town", "--lane-change", "iso3888-1"], "ROAD has no effect"),
-        (["compare", "--lane-change", "iso3888-1", "--budget", "50"], "--budget 0: do not tune"),
-        (["compare", "town", "--controller", "nn", "--vehicle", "van"], "was made for the car 'paper'"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["tune", "town", "--out", "{out}"], "tune CAR --road town"),
+    (["tune", "papre", "--out", "{out}"], "Did you mean 'paper'"),
+    (["tune", "paper", "--controller", "lqr", "--out", "{out}"], "--controller does not apply: name roads"),
+    (["tune", "paper", "--road", "town", "--speed", "5..9", "--out", "{out}"], "--speed does not apply"),
+    (["tune", "paper", "--speed", "5", "--out", "{out}"], "must be LOW..HIGH"),
+    (["tune", "paper", "--road", "town", "--controller", "nn", "--out", "{out}"], "tunable controllers: as-"),
+    (["tune", "paper", "--road", "town", "--runs", "19", "--out", "{out}"], "give at least 20"),
+    (["compare", "town", "--controller", "stanly"], "Did you mean 'stanley'"),
+    (["compare", "country:101"], "is a test road as well"),
+    (["compare", "--config", "standart"], "Did you mean 'standard'"),
+    (["compare", "town", "--lane-change", "iso3888-1"], "ROAD has no effect"),
+    (["compare", "--lane-change", "iso3888-1", "--budget", "50"], "--budget 0: do not tune"),
+    (["compare", "town", "--controller", "nn", "--vehicle", "van"], "was made for the car 'paper'"),
+])  # fmt: skip
 def test_a_wrong_argument_is_refused_with_the_remedy(arguments, words, tmp_path):
     process = run(*(argument.format(out=tmp_path) for argument in arguments))
     assert isinstance(process.exception, InvalidInput), process.output

@@ -76,15 +76,12 @@ def test_names_are_data_in_every_table(capsys, name):
     assert "\0" not in out
 
 
-@pytest.mark.parametrize(
-    ("environment", "red"),
-    [
-        ({"FORCE_COLOR": "1", "TERM": "xterm-256color"}, True),
-        ({"FORCE_COLOR": "1", "TERM": "xterm-256color", "NO_COLOR": "1"}, False),
-        ({"FORCE_COLOR": "1", "TERM": "dumb"}, False),
-        ({"TERM": "xterm-256color"}, False),  # no terminal
-    ],
-)
+@pytest.mark.parametrize(("environment", "red"), [
+    ({"FORCE_COLOR": "1", "TERM": "xterm-256color"}, True),
+    ({"FORCE_COLOR": "1", "TERM": "xterm-256color", "NO_COLOR": "1"}, False),
+    ({"FORCE_COLOR": "1", "TERM": "dumb"}, False),
+    ({"TERM": "xterm-256color"}, False),  # no terminal
+])  # fmt: skip
 def test_failed_is_red_only_where_colour_is_on(monkeypatch, capsys, environment, red):
     for name in ("FORCE_COLOR", "NO_COLOR", "TTY_COMPATIBLE", "COLORTERM"):
         monkeypatch.delenv(name, raising=False)

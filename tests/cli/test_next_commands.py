@@ -374,15 +374,12 @@ def test_the_winner_that_was_tuned_is_tuned_on_the_first_road_and_car(monkeypatc
     parse(shlex.split(line)[1:])
 
 
-@pytest.mark.parametrize(
-    ("road", "words"),
-    [
-        ("country:3@6", ["country", "--road-seed", "3", "--lateral-acceleration", "6", "--length", "300.0"]),
-        ("my road.csv", ["my road.csv"]),
-        ("random-drive:3", ["country"]),
-        ("double-lane-change", ["double-lane-change"]),
-    ],
-)
+@pytest.mark.parametrize(("road", "words"), [
+    ("country:3@6", ["country", "--road-seed", "3", "--lateral-acceleration", "6", "--length", "300.0"]),
+    ("my road.csv", ["my road.csv"]),
+    ("random-drive:3", ["country"]),
+    ("double-lane-change", ["double-lane-change"]),
+])  # fmt: skip
 def test_a_road_of_a_comparison_is_driven_with_its_seed_comfort_and_length(road, words) -> None:
     assert drive_words(road, 300.0) == words
 

@@ -109,11 +109,8 @@ def exported_controller(car, computation=0.0):
 
 STEERING = Steering(lag=0.2, dead_time=0.1)
 FROM_FILE, FROM_PROFILE, GIVEN, LEARNED = (
-    ("car file paper",) * 2,
-    ("profile road",) * 2,
-    ("given",) * 2,
-    (TO_LEARN_SOURCE,) * 2,
-)
+    ("car file paper",) * 2, ("profile road",) * 2, ("given",) * 2, (TO_LEARN_SOURCE,) * 2,
+)  # fmt: skip
 PART, NAMED = CAR.replace(steering=Steering(lag=0.1)), {"profile": "road"}
 ROWS = [
     ("`MPC(car)`, car file with lag", lambda: MPC(KNOWN), FROM_FILE, 0.0, False),
@@ -197,18 +194,14 @@ def test_the_true_steering_drives_no_worse_than_an_unknown_one():
     assert mean_square(MPC(car, belief=true)) <= mean_square(MPC(car))
 
 
-@pytest.mark.parametrize(
-    ("mpc", "profile", "differs"),
-    [
-        (MPC(KNOWN), "road", "0 s (default), but profile 'road' simulates 0.05 s"),
-        (MPC(KNOWN, computation=0.05), "paper", "0.05 s (given), but profile 'paper' simulates 0 s"),
-        (KinematicMPC(KNOWN), "road", "0 s (default), but profile 'road' simulates 0.05 s"),
-        (MPC(CAR), "road", None),
-        (MPC(KNOWN, profile="road"), "road", None),
-        (MPC(KNOWN.replace(steering=Steering(lag=0.1, dead_time=0.1))), "road", None),
-    ],
-    ids=["too short", "too long", "another controller", "learning", "equal", "as dead time"],
-)
+@pytest.mark.parametrize(("mpc", "profile", "differs"), [
+    (MPC(KNOWN), "road", "0 s (default), but profile 'road' simulates 0.05 s"),
+    (MPC(KNOWN, computation=0.05), "paper", "0.05 s (given), but profile 'paper' simulates 0 s"),
+    (KinematicMPC(KNOWN), "road", "0 s (default), but profile 'road' simulates 0.05 s"),
+    (MPC(CAR), "road", None),
+    (MPC(KNOWN, profile="road"), "road", None),
+    (MPC(KNOWN.replace(steering=Steering(lag=0.1, dead_time=0.1))), "road", None),
+], ids=["too short", "too long", "another controller", "learning", "equal", "as dead time"])  # fmt: skip
 def test_a_simulation_says_where_controller_and_profile_differ(mpc, profile, differs, caplog):
     warn_once.cache_clear()
     plant = DualTrack(CAR, steering=SteeringActuator(lag=0.1, dead_time=0.05))

@@ -222,20 +222,17 @@ def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_st
         assert words in err
 
 
-@pytest.mark.parametrize(
-    ("source", "fault"),
-    [
-        (b"x = 1\n\ndef f(:\n", "line 3: SyntaxError: invalid syntax"),
-        (b"import json\njson.loads('[')\n", r"line 2: (json\.decoder\.)?JSONDecodeError"),
-        (b"def f():\n    1 / 0\nf()\n", "line 2: ZeroDivisionError: division by zero"),
-        (b"import no_such_module_at_all\n", "line 1: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
-        (b"e = ValueError('x')\ne.add_note('why')\nraise e\n", "line 3: ValueError: x"),
-        (b"raise SystemExit(0)\n", "line 1: SystemExit: 0"),
-        (b"a = '\xe9'\n", r"line 1: SyntaxError: \(unicode error\)"),
-        (b"a = '\0'\n", "SyntaxError: source code string cannot contain null bytes"),
-        (b"import adaptrack as at\nat.register_plant('dual-track', print)\n", "line 2: .*choose another name"),
-    ],
-)
+@pytest.mark.parametrize(("source", "fault"), [
+    (b"x = 1\n\ndef f(:\n", "line 3: SyntaxError: invalid syntax"),
+    (b"import json\njson.loads('[')\n", r"line 2: (json\.decoder\.)?JSONDecodeError"),
+    (b"def f():\n    1 / 0\nf()\n", "line 2: ZeroDivisionError: division by zero"),
+    (b"import no_such_module_at_all\n", "line 1: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
+    (b"e = ValueError('x')\ne.add_note('why')\nraise e\n", "line 3: ValueError: x"),
+    (b"raise SystemExit(0)\n", "line 1: SystemExit: 0"),
+    (b"a = '\xe9'\n", r"line 1: SyntaxError: \(unicode error\)"),
+    (b"a = '\0'\n", "SyntaxError: source code string cannot contain null bytes"),
+    (b"import adaptrack as at\nat.register_plant('dual-track', print)\n", "line 2: .*choose another name"),
+])  # fmt: skip
 def test_a_plugin_that_fails_is_refused_with_its_line(source, fault, plugged, monkeypatch):
     Path("faulty.py").write_bytes(source)
     monkeypatch.delitem(sys.modules, "faulty", raising=False)

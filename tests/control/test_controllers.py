@@ -270,26 +270,23 @@ def test_an_impossible_tuning_or_period_is_refused(law, value):
         law(CAR, period=0.0 if value is None else value)  # None: some take the profile's
 
 
-@pytest.mark.parametrize(
-    ("make", "options", "message"),
-    [
-        (Stanley, {"vehicle": "paper"}, r"load_vehicle\(name\) gives one"),
-        (PurePursuit, {"lookahead_min": 0.0}, "lookahead_min = 0.0 m: must be a finite number > 0; a standing car"),
-        (LQR, {"r": 0}, "r = 0 1/rad.2: must be a finite number > 0"),
-        (LQR, {"limits": 0.5}, r"must be a Limits or None; Limits\(move="),
-        (KinematicMPC, {"lateral": 1.0}, "lateral: no weight of it; known are lateral_error"),
-        (KinematicMPC, {"steering": 0.0, "steering_v2": 0.0}, "one of them must be positive"),
-        (KinematicMPC, {"stages": 0}, "stages"),
-        (KinematicMPC, {"stages": 101}, "must be a whole number >= 1 and <= 100"),
-        (KinematicMPC, {"step": 0.0}, r"step = 0.0 s: must be a finite number > 0"),
-        (KinematicMPC, {"period": math.nan}, "period"),
-        (KinematicMPC, {"belief": 0.2}, "belief"),
-        (PreviewLQR, {"q_e": 0.0}, "q_e = 0.0: must be finite and positive"),
-        (PreviewLQR, {"ahead": 0.01}, "ahead = 0.01 s: must be from a control period to 10"),
-        (PreviewLQR, {"ahead": 11.0}, "ahead"),
-        (PreviewLQR, {"q_e": 1e300, "r": 1e-300}, "so far apart"),
-    ],
-)
+@pytest.mark.parametrize(("make", "options", "message"), [
+    (Stanley, {"vehicle": "paper"}, r"load_vehicle\(name\) gives one"),
+    (PurePursuit, {"lookahead_min": 0.0}, "lookahead_min = 0.0 m: must be a finite number > 0; a standing car"),
+    (LQR, {"r": 0}, "r = 0 1/rad.2: must be a finite number > 0"),
+    (LQR, {"limits": 0.5}, r"must be a Limits or None; Limits\(move="),
+    (KinematicMPC, {"lateral": 1.0}, "lateral: no weight of it; known are lateral_error"),
+    (KinematicMPC, {"steering": 0.0, "steering_v2": 0.0}, "one of them must be positive"),
+    (KinematicMPC, {"stages": 0}, "stages"),
+    (KinematicMPC, {"stages": 101}, "must be a whole number >= 1 and <= 100"),
+    (KinematicMPC, {"step": 0.0}, r"step = 0.0 s: must be a finite number > 0"),
+    (KinematicMPC, {"period": math.nan}, "period"),
+    (KinematicMPC, {"belief": 0.2}, "belief"),
+    (PreviewLQR, {"q_e": 0.0}, "q_e = 0.0: must be finite and positive"),
+    (PreviewLQR, {"ahead": 0.01}, "ahead = 0.01 s: must be from a control period to 10"),
+    (PreviewLQR, {"ahead": 11.0}, "ahead"),
+    (PreviewLQR, {"q_e": 1e300, "r": 1e-300}, "so far apart"),
+])  # fmt: skip
 def test_what_makes_no_controller_is_refused_with_the_remedy(make, options, message):
     with pytest.raises(InvalidInput, match=message):
         make(**{"vehicle": CAR, **options})
@@ -427,8 +424,7 @@ def write_to_the_state(state, speed, reference):
 
 
 BROKEN = {
-    "it must have a name": InPython(name=""),
-    "`period` must be a positive float": InPython(period=0),
+    "it must have a name": InPython(name=""), "`period` must be a positive float": InPython(period=0),
     "it must have a method `step`": InPython(step=None),
     r"`describe\(\)` must give a dict of plain data": InPython(describe=lambda: {"law": object()}),
     "must raise nothing but InvalidInput.*ZeroDivisionError": InPython(law=raises),
@@ -437,10 +433,9 @@ BROKEN = {
     "the mirrored situation must give the mirrored command": InPython(law=lambda *_: 0.01),
     "a command must be finite": InPython(step=lambda *_: Command(math.nan, 0.0, False, (), {})),
     "`move` must be the change of `angle`": InPython(step=lambda *_: Command(0.0, 0.1, False, (), {})),
-    "must keep the limits on the angle": jump_to(3.0),
-    "must keep the limits on the move": jump_to(0.5),
+    "must keep the limits on the angle": jump_to(3.0), "must keep the limits on the move": jump_to(0.5),
     "must not write to its arguments": InPython(step=writing),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("clause", BROKEN)

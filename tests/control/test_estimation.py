@@ -327,25 +327,22 @@ def test_the_scheduler_knows_the_estimates():
     assert isinstance(calls[0], SchedulingVariables)
 
 
-@pytest.mark.parametrize(
-    ("make", "argument", "words"),
-    [
-        (lambda: FrictionWindEstimator(CAR, period=0.0), "period", "> 0"),
-        (
-            lambda: simulate(
-                DualTrack(CAR),
-                published_mpc(CAR, period=0.1),
-                road(duration=1.0),
-                perception=FrictionWindEstimator(CAR),
-            ),
-            "",
-            "give both the same period",
+@pytest.mark.parametrize(("make", "argument", "words"), [
+    (lambda: FrictionWindEstimator(CAR, period=0.0), "period", "> 0"),
+    (
+        lambda: simulate(
+            DualTrack(CAR),
+            published_mpc(CAR, period=0.1),
+            road(duration=1.0),
+            perception=FrictionWindEstimator(CAR),
         ),
-        (lambda: FrictionWindEstimator(CAR, noise_vy=math.nan), "noise_vy", "finite"),
-        (lambda: FrictionWindEstimator(CAR, noise_acceleration="fast"), "noise_acceleration", "number"),
-        (lambda: FrictionWindEstimator(CAR).step([0.0] * 3, 10.0, 0.0), "measured", "expected \\(4,\\)"),
-    ],
-)
+        "",
+        "give both the same period",
+    ),
+    (lambda: FrictionWindEstimator(CAR, noise_vy=math.nan), "noise_vy", "finite"),
+    (lambda: FrictionWindEstimator(CAR, noise_acceleration="fast"), "noise_acceleration", "number"),
+    (lambda: FrictionWindEstimator(CAR).step([0.0] * 3, 10.0, 0.0), "measured", "expected \\(4,\\)"),
+])  # fmt: skip
 def test_what_the_estimator_refuses(make, argument, words):
     with pytest.raises(InvalidInput, match=f"{argument}.*{words}"):
         make()
@@ -386,14 +383,11 @@ def scribbles(speed, measured, command, a, b, parameters, memory, x, d):
     a[0, 0] = 0.0
 
 
-@pytest.mark.parametrize(
-    ("estimate", "clause"),
-    [
-        (leaves_gaps, "x and d must be written and finite"),
-        (scribbles, "must write to memory, x and d only"),
-        (hold_still, "must predict the model"),
-    ],
-)
+@pytest.mark.parametrize(("estimate", "clause"), [
+    (leaves_gaps, "x and d must be written and finite"),
+    (scribbles, "must write to memory, x and d only"),
+    (hold_still, "must predict the model"),
+])  # fmt: skip
 def test_the_checker_refuses_an_estimator_that_breaks(estimate, clause):
     with pytest.raises(ContractError, match=clause):
         check_estimator(UserEstimator(estimate), SingleTrackModel(CAR, 0.05))

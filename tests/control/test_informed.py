@@ -278,20 +278,17 @@ def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_
     assert steps[35].diagnostics[mpc.diagnostic_names.index("dead_reckoning")] == is_dead_reckoning[35]
 
 
-@pytest.mark.parametrize(
-    ("profile", "oldest", "text"),
-    [
-        ("road", None, ""),
-        ("production", None, "position, yaw 0.1 s (used at their time)"),
-        (
-            "production-bus",
-            None,
-            "position, yaw 0.1 s (used at their time); yaw rate, lateral acceleration 0.1 s (used at their time, "
-            "lateral acceleration with 3 times its noise)",
-        ),
-        ("production", 0.0, "position, yaw 0.1 s (not used, the filter takes in none older than 0 s)"),
-    ],
-)
+@pytest.mark.parametrize(("profile", "oldest", "text"), [
+    ("road", None, ""),
+    ("production", None, "position, yaw 0.1 s (used at their time)"),
+    (
+        "production-bus",
+        None,
+        "position, yaw 0.1 s (used at their time); yaw rate, lateral acceleration 0.1 s (used at their time, "
+        "lateral acceleration with 3 times its noise)",
+    ),
+    ("production", 0.0, "position, yaw 0.1 s (not used, the filter takes in none older than 0 s)"),
+])  # fmt: skip
 def test_a_controller_says_which_signals_are_late_and_how_it_uses_them(profile, oldest, text):
     sensors = KalmanFilter.from_profile(load_profile(profile))
     mpc = MPC(

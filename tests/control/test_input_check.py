@@ -247,16 +247,12 @@ def test_noise_of_the_position_is_no_drift_for_a_check_that_is_told_of_it(noise,
 
 
 # -- longitudinal acceleration ----------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("signal", "words"),
-    [
-        (lambda change, gravity: 1.05 * change + 0.15, ""),
-        (lambda change, gravity: -change, "the sign of the longitudinal acceleration is inverted"),
-        (lambda change, gravity: change / 9.81, "the longitudinal acceleration is in g"),
-        (lambda change, gravity: change + gravity, "contains gravity"),
-    ],
-    ids=["honest", "sign", "g", "gravity"],
-)
+@pytest.mark.parametrize(("signal", "words"), [
+    (lambda change, gravity: 1.05 * change + 0.15, ""),
+    (lambda change, gravity: -change, "the sign of the longitudinal acceleration is inverted"),
+    (lambda change, gravity: change / 9.81, "the longitudinal acceleration is in g"),
+    (lambda change, gravity: change + gravity, "contains gravity"),
+], ids=["honest", "sign", "g", "gravity"])  # fmt: skip
 def test_a_wrong_longitudinal_acceleration_is_named_within_30_s(signal, words):
     """Speeds with 1 % of noise, accelerations of up to 1.5 m/s^2, slopes of up to 8 % that change every 100 m."""
     check, noise, sentences = InputCheck(), random.Random(5), []
@@ -384,13 +380,10 @@ def test_check_loop_answers_first_and_by_its_exit_code(monkeypatch, capsys, reco
     assert "yaw_rate: " in json.loads(out)["contradictions"][0], out
 
 
-@pytest.mark.parametrize(
-    ("columns", "words"),
-    [
-        ("t,steer", "no column for speed"),
-        ("t,vx", "no signals could be compared: no column for yaw_rate"),
-    ],
-)
+@pytest.mark.parametrize(("columns", "words"), [
+    ("t,steer", "no column for speed"),
+    ("t,vx", "no signals could be compared: no column for yaw_rate"),
+])  # fmt: skip
 def test_check_loop_says_why_it_could_not_compare(monkeypatch, capsys, tmp_path, columns, words):
     rows = [f"{0.1 * k},10" for k in range(50)]
     (tmp_path / "log.csv").write_text("\n".join([columns, *rows]))

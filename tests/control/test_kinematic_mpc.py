@@ -157,12 +157,9 @@ def test_told_of_the_dead_time_it_damps_a_car_that_it_cannot_hold_without():
 
     def last_errors(dead_time: float) -> float:
         controller = make_controller(
-            belief=Steering(lag=0.3, dead_time=dead_time),
-            profile="paper",
-            steering=0.05,
-            steering_v2=0.005,
+            belief=Steering(lag=0.3, dead_time=dead_time), profile="paper", steering=0.05, steering_v2=0.005,
             lateral_jerk=0.0,
-        )
+        )  # fmt: skip
         state, commands, errors = np.array([0.5, 0.0, 0.0]), [0.0] * 10, []
         for _ in range(200):
             y = state[0] + CAR.lr * math.sin(state[1])

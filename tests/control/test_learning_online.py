@@ -285,18 +285,15 @@ LEARNED_VAN = LearnedCar(car="van", lag=0.2, lag_sigma=0.01, dead_time=0.1, dead
                          stiffness=1.0, stiffness_sigma=0.1)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Learning(lags=0), "lags = 0: must be a whole number >= 1 and <= 12"),
-        (lambda: Learning(bias=-1.0), "bias = -1.0 rad: must be a finite number >= 0 or None"),
-        (lambda: Learning(start=3), "start = 3: must be a LearnedCar"),
-        (lambda: learner(start=LEARNED_VAN), "'van'"),
-        (lambda: MPC(CAR, profile="road").learned(), "does not learn"),
-        (lambda: MPC(CAR, model=SingleTrackModel(CAR), learning=Learning()), "specify either those or model and"),
-        (lambda: MPC(CAR, learning=True), "must be a Learning or one of 'auto' or None; 'auto' serves as well"),
-    ],
-)
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: Learning(lags=0), "lags = 0: must be a whole number >= 1 and <= 12"),
+    (lambda: Learning(bias=-1.0), "bias = -1.0 rad: must be a finite number >= 0 or None"),
+    (lambda: Learning(start=3), "start = 3: must be a LearnedCar"),
+    (lambda: learner(start=LEARNED_VAN), "'van'"),
+    (lambda: MPC(CAR, profile="road").learned(), "does not learn"),
+    (lambda: MPC(CAR, model=SingleTrackModel(CAR), learning=Learning()), "specify either those or model and"),
+    (lambda: MPC(CAR, learning=True), "must be a Learning or one of 'auto' or None; 'auto' serves as well"),
+])  # fmt: skip
 def test_what_learning_refuses(make, words):
     with pytest.raises(InvalidInput, match=words):
         make()

@@ -247,16 +247,12 @@ class Broken:
             change({"a": a, "b": b, "e": e, "p": parameters}[name], self.asked)
 
 
-@pytest.mark.parametrize(
-    ("changes", "clause"),
-    [
-        ({"e": lambda e, count: e.fill(math.nan)}, "must be written and finite"),
-        ({"b": lambda b, count: b.__setitem__(0, count)}, "must give the same matrices"),
-        ({"a": lambda a, count: a.__setitem__((1, 3), 0.1)}, "must stay where it is"),
-        ({"b": lambda b, count: b.__imul__(-1.0)}, "to the left must move y to the left"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
+@pytest.mark.parametrize(("changes", "clause"), [
+    ({"e": lambda e, count: e.fill(math.nan)}, "must be written and finite"),
+    ({"b": lambda b, count: b.__setitem__(0, count)}, "must give the same matrices"),
+    ({"a": lambda a, count: a.__setitem__((1, 3), 0.1)}, "must stay where it is"),
+    ({"b": lambda b, count: b.__imul__(-1.0)}, "to the left must move y to the left"),
+], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
 def test_the_checker_refuses_a_model_that_breaks(changes, clause):
     with pytest.raises(ContractError, match=clause):
         check_model(Broken(**changes))

@@ -245,23 +245,16 @@ def test_a_scheduler_that_fails_keeps_the_tuning_before_is_counted_and_said_once
 # -- bad arguments ----------------------------------------------------------------------------------------------------
 NO_LIMIT = (0.0, -1.0, math.nan, math.inf)
 REFUSED = [
-    (Tuning, "Np", (0, -1, 35.0, True, math.nan, "35", None)),
-    (Tuning, "Nc", (0, 36, 2.5, math.inf)),
-    (Tuning, "Q", (-1.0, math.nan, math.inf)),
-    (Tuning, "R", NO_LIMIT),
+    (Tuning, "Np", (0, -1, 35.0, True, math.nan, "35", None)), (Tuning, "Nc", (0, 36, 2.5, math.inf)),
+    (Tuning, "Q", (-1.0, math.nan, math.inf)), (Tuning, "R", NO_LIMIT),
     (Limits, "move", ((0.1, -0.1), (math.nan, 0.1), (0.01, 0.1), (-0.1, -0.01), (-math.inf, 0.1), (-0.1, math.inf))),
     (Limits, "angle", ((0.2, -0.2), (-0.2, math.nan), (0.1, 0.2), (-math.inf, math.inf))),
-    (Limits, "output", ((1.0, -1.0), (math.nan, 1.0))),
-    (Limits, "output_weight", NO_LIMIT),
-    (Moves, "kind", ("pulses",)),
-    (Moves, "pole", (1.0, -0.1, math.nan)),
-    (Moves, "terms", (0, -2)),
-    (partial(published_mpc, CAR), "period", NO_LIMIT),
-    (partial(published_mpc, CAR), "speed_floor", NO_LIMIT),
-    (partial(published_mpc, CAR), "longest_horizon", (20,)),
-    (partial(published_mpc, CAR), "most_moves", (5,)),
+    (Limits, "output", ((1.0, -1.0), (math.nan, 1.0))), (Limits, "output_weight", NO_LIMIT),
+    (Moves, "kind", ("pulses",)), (Moves, "pole", (1.0, -0.1, math.nan)), (Moves, "terms", (0, -2)),
+    (partial(published_mpc, CAR), "period", NO_LIMIT), (partial(published_mpc, CAR), "speed_floor", NO_LIMIT),
+    (partial(published_mpc, CAR), "longest_horizon", (20,)), (partial(published_mpc, CAR), "most_moves", (5,)),
     (partial(published_mpc, CAR, moves=Moves.laguerre()), "most_moves", (80,)),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("make", "argument", "values"), REFUSED)

@@ -143,20 +143,16 @@ def test_what_a_mask_hides_is_not_read():
 VALUES = (0.0, 1.0, -3.0, math.nan, math.inf, -math.inf, 1e-308, 1e300, -1e300, 1e9, 10**400)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"solver": "active-set"},
-        {"solver": "hildreth"},
-        {"solver": get_qp_solver("hildreth", on_uncertified="hold")},
-        {"solver": get_qp_solver("hildreth", on_uncertified="apply")},
-        {"moves": MOVES["laguerre"]},
-        {"limits": Limits(output=(-1.0, 1.0)), "solver": get_qp_solver("hildreth", on_uncertified="hold")},
-        {"limits": Limits(output=(-1.0, 1.0)), "moves": MOVES["laguerre"]},
-        {"preview": True, "scheduler": Constant(CALM)},
-    ],
-    ids=["exact", "hildreth", "hold", "apply", "laguerre", "soft", "soft laguerre", "scheduled"],
-)
+@pytest.mark.parametrize("options", [
+    {"solver": "active-set"},
+    {"solver": "hildreth"},
+    {"solver": get_qp_solver("hildreth", on_uncertified="hold")},
+    {"solver": get_qp_solver("hildreth", on_uncertified="apply")},
+    {"moves": MOVES["laguerre"]},
+    {"limits": Limits(output=(-1.0, 1.0)), "solver": get_qp_solver("hildreth", on_uncertified="hold")},
+    {"limits": Limits(output=(-1.0, 1.0)), "moves": MOVES["laguerre"]},
+    {"preview": True, "scheduler": Constant(CALM)},
+], ids=["exact", "hildreth", "hold", "apply", "laguerre", "soft", "soft laguerre", "scheduled"])  # fmt: skip
 def test_whatever_numbers_come_the_command_keeps_its_limits_and_solved_means_solved(options, rng):
     mpc = published_mpc(CAR, Tuning(12, 2, 1.0, 0.1), **options)
     before, calm, last_speed = 0.0, True, math.nan
@@ -212,17 +208,13 @@ def test_the_problem_is_what_the_step_solves_and_asking_changes_nothing(moves, o
 
 # -- copies -----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("make_copy", [copy.copy, copy.deepcopy, lambda mpc: pickle.loads(pickle.dumps(mpc))])
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"moves": MOVES["laguerre"], "limits": Limits(output=(-0.5, 0.5))},
-        {"scheduler": Constant(CALM)},
-        {"solver": "hildreth"},
-        {"solver": Daqp()},
-    ],
-    ids=["pulse", "soft laguerre", "scheduled", "hildreth", "daqp"],
-)
+@pytest.mark.parametrize("options", [
+    {},
+    {"moves": MOVES["laguerre"], "limits": Limits(output=(-0.5, 0.5))},
+    {"scheduler": Constant(CALM)},
+    {"solver": "hildreth"},
+    {"solver": Daqp()},
+], ids=["pulse", "soft laguerre", "scheduled", "hildreth", "daqp"])  # fmt: skip
 def test_a_copy_made_in_mid_run_goes_on_alike_and_apart(make_copy, options, rng):
     drive = [(rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0], rng.uniform(3, 25), rng.normal(size=20)) for _ in range(9)]
     mpc, undisturbed = (published_mpc(CAR, CALM, preview=True, **options) for _ in range(2))

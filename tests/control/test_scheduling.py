@@ -101,14 +101,10 @@ def flat(rng):
 
 
 KINDS = {
-    "constant": lambda rng: Constant(Tuning(31, 7, 2.5, 0.1)),
-    "nearest": lambda rng: lookup("nearest", rng),
-    "multilinear": lambda rng: lookup("multilinear", rng),
-    "network": lambda rng: learned("network", rng),
-    "sugeno": lambda rng: learned("sugeno", rng),
-    "guarded": guarded,
-    "flat": flat,
-}
+    "constant": lambda rng: Constant(Tuning(31, 7, 2.5, 0.1)), "nearest": lambda rng: lookup("nearest", rng),
+    "multilinear": lambda rng: lookup("multilinear", rng), "network": lambda rng: learned("network", rng),
+    "sugeno": lambda rng: learned("sugeno", rng), "guarded": guarded, "flat": flat,
+}  # fmt: skip
 every_kind = pytest.mark.parametrize("kind", KINDS)
 
 
@@ -350,22 +346,19 @@ def fails(condition):
     raise ZeroDivisionError("no friction")
 
 
-@pytest.mark.parametrize(
-    ("scheduler", "message"),
-    [
-        (Tuning(), "must be callable"),
-        (lambda condition: (30, 5, 1.0), "numbers Np, Nc, Q, R"),
-        (lambda condition: (30, 5, math.nan, 1.0), "must be finite"),
-        (lambda condition: (5, 6, 1.0, 1.0), "need 1 <= Nc <= Np"),
-        (lambda condition: (30, 0, 1.0, 1.0), "need 1 <= Nc <= Np"),
-        (lambda condition: (30, 5, -1.0, 1.0), "Q >= 0"),
-        (lambda condition: (30, 5, 1.0, 0.0), "R > 0"),
-        (Moody(), "the same for the same variables"),
-        (fails, "no friction"),
-        (lambda condition: (30, 5, 1.0, 27.5 - condition.speed), "R > 0"),  # sound in the domain, but not beyond
-        (lambda condition: (30, 5, 1.0, math.sqrt(condition.friction)), "failed for"),
-    ],
-)
+@pytest.mark.parametrize(("scheduler", "message"), [
+    (Tuning(), "must be callable"),
+    (lambda condition: (30, 5, 1.0), "numbers Np, Nc, Q, R"),
+    (lambda condition: (30, 5, math.nan, 1.0), "must be finite"),
+    (lambda condition: (5, 6, 1.0, 1.0), "need 1 <= Nc <= Np"),
+    (lambda condition: (30, 0, 1.0, 1.0), "need 1 <= Nc <= Np"),
+    (lambda condition: (30, 5, -1.0, 1.0), "Q >= 0"),
+    (lambda condition: (30, 5, 1.0, 0.0), "R > 0"),
+    (Moody(), "the same for the same variables"),
+    (fails, "no friction"),
+    (lambda condition: (30, 5, 1.0, 27.5 - condition.speed), "R > 0"),  # sound in the domain, but not beyond
+    (lambda condition: (30, 5, 1.0, math.sqrt(condition.friction)), "failed for"),
+])  # fmt: skip
 def test_what_breaks_the_contract_is_refused_with_the_evidence(scheduler, message):
     with pytest.raises(ContractError, match=message):
         check_scheduler(scheduler)
@@ -410,23 +403,19 @@ def test_a_flipped_bit_is_found_wherever_it_lies(kind, rng, tmp_path):
     assert harmless < 0.05 * len(places)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "not a scheduler file, or damaged"),
-        ("Np = 35", "not a scheduler file, or damaged"),
-        ("[" * 100_000, "not a scheduler file, or damaged"),
-        ("9" * 5000, "not a scheduler file, or damaged"),
-        ("[]", "its format is not"),
-        ("35", "its format is not"),
-        ('{"type": "FeatureCollection", "features": []}', "its format is not"),
-        ('{"format": "adaptrack-scheduler"}', "version None"),
-        ('{"format": "adaptrack-scheduler", "version": 1}', "version 1 of the scheduler format; this program reads 2"),
-        ('{"format": "adaptrack-scheduler", "version": 2}', "checksum"),
-        ('{"format": "adaptrack-scheduler", "version": 2, "sha256": 3, "content": {}}', "checksum"),
-    ],
-    ids=range(11),
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("", "not a scheduler file, or damaged"),
+    ("Np = 35", "not a scheduler file, or damaged"),
+    ("[" * 100_000, "not a scheduler file, or damaged"),
+    ("9" * 5000, "not a scheduler file, or damaged"),
+    ("[]", "its format is not"),
+    ("35", "its format is not"),
+    ('{"type": "FeatureCollection", "features": []}', "its format is not"),
+    ('{"format": "adaptrack-scheduler"}', "version None"),
+    ('{"format": "adaptrack-scheduler", "version": 1}', "version 1 of the scheduler format; this program reads 2"),
+    ('{"format": "adaptrack-scheduler", "version": 2}', "checksum"),
+    ('{"format": "adaptrack-scheduler", "version": 2, "sha256": 3, "content": {}}', "checksum"),
+], ids=range(11))  # fmt: skip
 def test_a_file_that_is_no_scheduler_is_refused_with_a_reason(text, message, tmp_path):
     (tmp_path / "one.json").write_text(text)
     with pytest.raises(StorageError, match=message):

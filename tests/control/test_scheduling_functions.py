@@ -25,11 +25,9 @@ every_kind = pytest.mark.parametrize("kind", KINDS)
 # -- shifts -----------------------------------------------------------------------------------------------------------
 def functions(rng):
     return {
-        "number": Number(4.25),
-        "network": random_network(rng, 2),
-        "sugeno": random_sugeno(rng, 2),
+        "number": Number(4.25), "network": random_network(rng, 2), "sugeno": random_sugeno(rng, 2),
         "table": random_table(rng, 2, "multilinear"),
-    }
+    }  # fmt: skip
 
 
 def test_a_kind_that_nobody_registered_is_refused_with_those_that_are_known():

@@ -125,14 +125,11 @@ def repeated_between(start: float, end: float, is_repeated: Callable[[int], bool
 
 
 SENSORS = {
-    "10 Hz": (every(10), None),
-    "5 Hz": (every(20), None),
-    "10 Hz, 0.1 s old": (every(10, 10), None),
-    "position at 5 Hz, speed at 20 Hz": (every(20), latest),
-    "position at 20 Hz, speed at 10 Hz": (latest, every(10)),
+    "10 Hz": (every(10), None), "5 Hz": (every(20), None), "10 Hz, 0.1 s old": (every(10, 10), None),
+    "position at 5 Hz, speed at 20 Hz": (every(20), latest), "position at 20 Hz, speed at 10 Hz": (latest, every(10)),
     "0.05 to 0.15 s old": (random_ticks(lambda tick, rng: tick - int(rng.integers(5, 16))), None),
     "half of the samples repeated": (random_ticks(lambda tick, rng: tick - LOOP * int(rng.integers(0, 2))), None),
-}
+}  # fmt: skip
 """Samples with honest stamps: sensors of the pose, and of the motion where it has a different one."""
 
 
@@ -223,14 +220,9 @@ def test_one_odd_number_leaves_all_later_requests_finite_and_within_the_car(fiel
     for k in range(20):
         call_time = 0.05 * k
         row = {
-            "t": call_time,
-            "x": 4.0 * call_time,
-            "y": 0.0,
-            "yaw": 0.0,
-            "speed": 4.0,
-            "yaw_rate": 0.0,
+            "t": call_time, "x": 4.0 * call_time, "y": 0.0, "yaw": 0.0, "speed": 4.0, "yaw_rate": 0.0,
             "now": call_time,
-        }
+        }  # fmt: skip
         request = tracker.step(**(row | {field: odd} if k == 8 else row)).longitudinal
         assert math.isfinite(request.acceleration)
         assert -CAR.brake_limit <= request.force <= CAR.traction_limit

@@ -31,14 +31,10 @@ STEERING = Steering(lag=0.15, dead_time=0.05, rate=0.5)
 """Of the bicycle."""
 EXACT = (0.0,) * 5
 SPOILT = {
-    "jitter": {"jitter": (0.02, 0.09)},
-    "every seventh missing": {"missing": 7},
-    "wrap": {"wrapped": True},
-    "late": {"late": 0.1},
-    "late pose, prompt motion": {"late": 0.1, "prompt_motion": True},
-    "late and reordered": {"late": 0.1, "reorder": 0.05},
-    "repeated": {"repeat": 5},
-}
+    "jitter": {"jitter": (0.02, 0.09)}, "every seventh missing": {"missing": 7}, "wrap": {"wrapped": True},
+    "late": {"late": 0.1}, "late pose, prompt motion": {"late": 0.1, "prompt_motion": True},
+    "late and reordered": {"late": 0.1, "reorder": 0.05}, "repeated": {"repeat": 5},
+}  # fmt: skip
 
 
 def informed(oldest=0.25):
@@ -418,23 +414,20 @@ def test_a_law_without_positions_holds():
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda mpc: Tracker("informed", SHORT), "must be a Controller"),
-        (lambda mpc: Tracker(published_mpc(CAR, scheduler=lambda _: (10, 2, 1.0, 1.0)), SHORT), "has a scheduler"),
-        (lambda mpc: Tracker(mpc, [(0.0, 0.0), (1.0, 0.0)]), "must be a Road"),
-        (lambda mpc: Tracker(mpc, SHORT, plan=plan_speed(ROAD)), "must be a SpeedPlan of this path"),
-        (lambda mpc: Tracker(mpc, SHORT, furthest=0.0), "furthest"),
-        (lambda mpc: Tracker(mpc, SHORT).predicted_path(), "made a step"),
-        (lambda mpc: Tracker(mpc, SHORT).step(math.nan, 0.0, 0.0, 0.0, 10.0), "the time of the call"),
-        (lambda mpc: Tracker(mpc, SHORT).step(0.0, "0", 0.0, 0.0, 10.0), "must be a number"),
-        (lambda mpc: Tracker(mpc, SHORT).engage(math.nan), "finite"),
-        (lambda mpc: yaw_of((0.0,) * 4), "four finite numbers"),
-        (lambda mpc: yaw_of((1.0, 0.0, 0.0)), "four finite numbers"),
-        (lambda mpc: yaw_of((math.nan, 0.0, 0.0, 1.0)), "four finite numbers"),
-    ],
-)
+@pytest.mark.parametrize(("call", "message"), [
+    (lambda mpc: Tracker("informed", SHORT), "must be a Controller"),
+    (lambda mpc: Tracker(published_mpc(CAR, scheduler=lambda _: (10, 2, 1.0, 1.0)), SHORT), "has a scheduler"),
+    (lambda mpc: Tracker(mpc, [(0.0, 0.0), (1.0, 0.0)]), "must be a Road"),
+    (lambda mpc: Tracker(mpc, SHORT, plan=plan_speed(ROAD)), "must be a SpeedPlan of this path"),
+    (lambda mpc: Tracker(mpc, SHORT, furthest=0.0), "furthest"),
+    (lambda mpc: Tracker(mpc, SHORT).predicted_path(), "made a step"),
+    (lambda mpc: Tracker(mpc, SHORT).step(math.nan, 0.0, 0.0, 0.0, 10.0), "the time of the call"),
+    (lambda mpc: Tracker(mpc, SHORT).step(0.0, "0", 0.0, 0.0, 10.0), "must be a number"),
+    (lambda mpc: Tracker(mpc, SHORT).engage(math.nan), "finite"),
+    (lambda mpc: yaw_of((0.0,) * 4), "four finite numbers"),
+    (lambda mpc: yaw_of((1.0, 0.0, 0.0)), "four finite numbers"),
+    (lambda mpc: yaw_of((math.nan, 0.0, 0.0, 1.0)), "four finite numbers"),
+])  # fmt: skip
 def test_nonsense_is_refused(call, message):
     with pytest.raises(InvalidInput, match=message):
         call(informed())

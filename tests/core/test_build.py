@@ -112,10 +112,6 @@ def test_kernels_in_place_of_instructions_link_for_a_processor_that_lacks_them(t
 
 def test_every_kernel_that_a_program_may_call_is_there():
     called = {
-        *PAGE_KERNELS,
-        *CONTROLLERS,
-        *TRACKERS,
-        *PLANTS,
-        *(name for pair in UNIT_KERNELS.values() for name in pair),
-    }
+        *PAGE_KERNELS, *CONTROLLERS, *TRACKERS, *PLANTS, *(name for pair in UNIT_KERNELS.values() for name in pair),
+    }  # fmt: skip
     assert called <= set(sources.kernels_of())

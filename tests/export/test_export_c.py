@@ -44,17 +44,13 @@ CAR = at.load_vehicle("midsize-sedan")
 ALONG = np.arange(0.0, 300.0, 5.0)
 POINTS = np.stack([ALONG, 12.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
 CONTROLLERS = {
-    "informed": lambda: at.MPC(CAR, profile="road"),
-    "production": lambda: at.MPC(CAR, profile="production"),
+    "informed": lambda: at.MPC(CAR, profile="road"), "production": lambda: at.MPC(CAR, profile="production"),
     "learning": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
-    "as-written": lambda: at.published_mpc(CAR),
-    "as-released": lambda: at.get_controller("as-released", CAR),
+    "as-written": lambda: at.published_mpc(CAR), "as-released": lambda: at.get_controller("as-released", CAR),
     "nn": lambda: at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn")),
-    "anfis": lambda: at.published_mpc(CAR, scheduler=at.load_scheduler("road-anfis")),
-    "lqr": lambda: at.LQR(CAR),
-    "stanley": lambda: at.Stanley(CAR),
-    "pure-pursuit": lambda: at.PurePursuit(CAR),
-}
+    "anfis": lambda: at.published_mpc(CAR, scheduler=at.load_scheduler("road-anfis")), "lqr": lambda: at.LQR(CAR),
+    "stanley": lambda: at.Stanley(CAR), "pure-pursuit": lambda: at.PurePursuit(CAR),
+}  # fmt: skip
 
 EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "3000"))
 """Calls of each controller in the long comparisons."""
@@ -376,13 +372,11 @@ def test_the_recorded_drive_of_the_folder_does_not_differ(library_of):
 
 
 COMPILERS = {
-    "gcc with fma": ("gcc", "-O3", "-mfma"),
-    "gcc without fma": ("gcc", "-O2", ""),
-    "gcc for size": ("gcc", "-Os", "-mfma"),
-    "clang with fma": ("zig", "-O2", "-march=x86_64_v3"),
+    "gcc with fma": ("gcc", "-O3", "-mfma"), "gcc without fma": ("gcc", "-O2", ""),
+    "gcc for size": ("gcc", "-Os", "-mfma"), "clang with fma": ("zig", "-O2", "-march=x86_64_v3"),
     "clang without fma": ("zig", "-O2", "-march=x86_64"),
     "clang in plain C99": ("zig", "-O2", "-march=x86_64_v3 -DADAPTRACK_PLAIN_C"),
-}
+}  # fmt: skip
 """Compiler, its CFLAGS and PROCESSOR."""
 
 
@@ -430,15 +424,12 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
     assert subprocess.run([str(tmp_path / "drive")]).returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Scripted(lambda t: 0.0), "controller 'scripted' is none that is compiled ahead"),
-        (lambda: at.PreviewLQR(CAR), "is none that is compiled ahead"),
-        (lambda: at.MPC(CAR, solver=Daqp()), "QP solver 'daqp' .* is Python's"),
-        (lambda: at.published_mpc(CAR, scheduler=lambda variables: at.Tuning()), "scheduler .* is Python"),
-    ],
-)
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: Scripted(lambda t: 0.0), "controller 'scripted' is none that is compiled ahead"),
+    (lambda: at.PreviewLQR(CAR), "is none that is compiled ahead"),
+    (lambda: at.MPC(CAR, solver=Daqp()), "QP solver 'daqp' .* is Python's"),
+    (lambda: at.published_mpc(CAR, scheduler=lambda variables: at.Tuning()), "scheduler .* is Python"),
+])  # fmt: skip
 def test_what_is_python_is_refused_by_name_and_nothing_is_written(make, message, tmp_path):
     with pytest.raises(at.InvalidInput, match=message):
         export_c(make(), tmp_path / "out")

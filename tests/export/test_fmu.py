@@ -367,22 +367,19 @@ def test_a_state_that_is_carried_to_another_instance_goes_on_to_the_bit(version,
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("call", "says"),
-    [
-        (lambda car: car.step(command=math.nan), "at t = 0.05 s the value with reference 10 is nan: it must be finite"),
-        (lambda car: car.step(friction_rear_left=0.0), "reference 17 is 0: it must be finite and from 0.001 to 3"),
-        (lambda car: car.step(0.5), "step at t = 0.05 s is 0.025 s long: it must be a whole number of periods"),
-        (lambda car: car.fmu.doStep(7.0, 0.05), "begins at t = 7 s: it must begin where the last one ended, at 0.05 s"),
-        (lambda car: car.set(seed=3), "reference 3 cannot be set to 3: not after initialization"),
-        (lambda car: car.set(x=1.0), "cannot be set to 1: it is computed"),
-        (lambda car: car.fmu.setFloat64([3], [1.0]), "of another type"),
-        (lambda car: car.fmu.getFloat64([999]), "does not exist"),
-        (lambda car: car.restore(car.saved()[:-8]), "the state is of another FMU"),
-        (lambda car: car.restore(flipped(car.saved(), 99)), "damaged"),
-        (lambda car: car.fmu.enterInitializationMode(startTime=0.0), "reset first"),
-    ],
-)
+@pytest.mark.parametrize(("call", "says"), [
+    (lambda car: car.step(command=math.nan), "at t = 0.05 s the value with reference 10 is nan: it must be finite"),
+    (lambda car: car.step(friction_rear_left=0.0), "reference 17 is 0: it must be finite and from 0.001 to 3"),
+    (lambda car: car.step(0.5), "step at t = 0.05 s is 0.025 s long: it must be a whole number of periods"),
+    (lambda car: car.fmu.doStep(7.0, 0.05), "begins at t = 7 s: it must begin where the last one ended, at 0.05 s"),
+    (lambda car: car.set(seed=3), "reference 3 cannot be set to 3: not after initialization"),
+    (lambda car: car.set(x=1.0), "cannot be set to 1: it is computed"),
+    (lambda car: car.fmu.setFloat64([3], [1.0]), "of another type"),
+    (lambda car: car.fmu.getFloat64([999]), "does not exist"),
+    (lambda car: car.restore(car.saved()[:-8]), "the state is of another FMU"),
+    (lambda car: car.restore(flipped(car.saved(), 99)), "damaged"),
+    (lambda car: car.fmu.enterInitializationMode(startTime=0.0), "reset first"),
+])  # fmt: skip
 def test_a_wrong_call_is_refused_and_changes_nothing(call, says, folder, capfd):
     instance = Instance(car(folder), folder)
     instance.step(command=0.01)

@@ -107,24 +107,21 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
     assert json.loads(process.stdout) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"road": "moutain"}, "no road 'moutain'. Did you mean 'mountain'"),
-        ({"profile": "rode"}, "no profile 'rode'"),
-        ({"controllers": ["inform"]}, "no controller 'inform'. Did you mean 'informed'"),
-        ({"controllers": []}, "one or two"),
-        ({"controllers": ["lqr"] * 3}, "one or two"),
-        ({"speed": 10.0, "lateral_acceleration": 2.0}, "either speed or lateral_acceleration"),
-        ({"road": [[0.0, 1.0, 2.0]]}, "x and y of each point"),
-        ({"vehicle": "paprika"}, "paprika"),
-        ({"speed": 99.0}, "speed (m/s) = 99.0: the page drives 1 to 60"),
-        ({"speed": 55.0}, "the wheels must turn at"),
-        ({"lateral_acceleration": 0.0}, "lateral_acceleration (m/s^2) = 0.0: the page drives 0.5 to 12"),
-        ({"road": TIGHT}, "points, s = 60 to 60 m: the wheels must turn at"),
-        ({"profile": "production", "controllers": ["published"]}, "does not measure vy"),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    ({"road": "moutain"}, "no road 'moutain'. Did you mean 'mountain'"),
+    ({"profile": "rode"}, "no profile 'rode'"),
+    ({"controllers": ["inform"]}, "no controller 'inform'. Did you mean 'informed'"),
+    ({"controllers": []}, "one or two"),
+    ({"controllers": ["lqr"] * 3}, "one or two"),
+    ({"speed": 10.0, "lateral_acceleration": 2.0}, "either speed or lateral_acceleration"),
+    ({"road": [[0.0, 1.0, 2.0]]}, "x and y of each point"),
+    ({"vehicle": "paprika"}, "paprika"),
+    ({"speed": 99.0}, "speed (m/s) = 99.0: the page drives 1 to 60"),
+    ({"speed": 55.0}, "the wheels must turn at"),
+    ({"lateral_acceleration": 0.0}, "lateral_acceleration (m/s^2) = 0.0: the page drives 0.5 to 12"),
+    ({"road": TIGHT}, "points, s = 60 to 60 m: the wheels must turn at"),
+    ({"profile": "production", "controllers": ["published"]}, "does not measure vy"),
+])  # fmt: skip
 def test_what_the_page_cannot_drive_is_refused_before_it_is_written(options, message, tmp_path):
     with pytest.raises(InvalidInput, match=re.escape(message)):
         at.export_page(tmp_path / "drive.html", **options)

@@ -307,12 +307,9 @@ def test_what_cannot_be_is_refused_in_a_sentence_and_the_engine_goes_on(ask):
     reading = {"type": "read", "what": "csv", "text": "x"}
     requests = [change_message({"truth": {"lag": 1}}), advance_message(5), {"type": "none"}, reading]
     touches = [
-        {"speed_control": {"friction": 0.5}},
-        {"truth": {"slope": 1}},
-        {"tuning": {"Np": 0}},
-        {"ice": {"from": 5, "to": 1, "friction": 0.3}},
-        {"none": 1},
-    ]
+        {"speed_control": {"friction": 0.5}}, {"truth": {"slope": 1}}, {"tuning": {"Np": 0}},
+        {"ice": {"from": 5, "to": 1, "friction": 0.3}}, {"none": 1},
+    ]  # fmt: skip
     good_requests = [{"type": "start", "id": 2, "setup": TOUCHED}, advance_message(20)]
     answers = ask(*wrong_setups, *requests, *good_requests, *map(change_message, touches), advance_message(10))
     words = refusals_of(answers)

@@ -133,14 +133,9 @@ def test_a_page_is_given_plain_data_with_the_range_of_every_number():
 @needs_node
 def test_a_typed_sheet_becomes_the_car_that_python_makes_of_it():
     typed = {
-        "mass": "1500",
-        "wheelbase": 2.7,
-        "load": "75",
-        "body_style": "truck",
-        "lf": "1.2",
-        "cg_height": "",
+        "mass": "1500", "wheelbase": 2.7, "load": "75", "body_style": "truck", "lf": "1.2", "cg_height": "",
         "name": "a",
-    }
+    }  # fmt: skip
     sheet = ask([("readSheet", [typed], [])])[0]["value"]
     assert sheet == {"name": "a", "mass": 1500, "wheelbase": 2.7, "load": 75, "truck": 1, "known": {"lf": 1.2}}
     car, within = row_of(cars.CarRow, mass=sheet["mass"], **sheet["known"]), row_of(cars.KnownWithinRow)

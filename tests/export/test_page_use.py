@@ -61,13 +61,9 @@ def test_tab_reaches_every_control_in_the_order_of_the_page_and_shows_where_it_i
 
 
 KEYS = {
-    "range": "ArrowRight",
-    "select-one": "ArrowDown",
-    "number": "ArrowUp",
-    "checkbox": " ",
-    "radio": " ",
+    "range": "ArrowRight", "select-one": "ArrowDown", "number": "ArrowUp", "checkbox": " ", "radio": " ",
     "textarea": "a",
-}
+}  # fmt: skip
 
 
 def test_every_control_does_by_key_what_it_does_by_mouse(window):
@@ -256,14 +252,12 @@ DROP = """
 STRAIGHT = "\n".join(f"{10 * k},0" for k in range(30))
 HOSTILE = {
     "100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.csv"),
-    "a car of 100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.json"),
-    "nothing": ("[]", "empty.csv"),
+    "a car of 100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.json"), "nothing": ("[]", "empty.csv"),
     "bytes": ("[new Uint8Array(1e5).map((_, i) => i * 7919 % 251)]", "bytes.csv"),
     "a kink": (json.dumps([STRAIGHT + "\n290,0\n0,1\n10,1\n"]), "kink.csv"),
-    "no car": (json.dumps(['{"wheels": 3}']), "none.json"),
-    "deep": (json.dumps(["[" * 5000]), "deep.json"),
+    "no car": (json.dumps(['{"wheels": 3}']), "none.json"), "deep": (json.dumps(["[" * 5000]), "deep.json"),
     "a car in TOML": (json.dumps(["mass = 1500\n"]), "my-car.toml"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", HOSTILE)

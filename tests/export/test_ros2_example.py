@@ -392,15 +392,12 @@ def test_parameters_that_are_not_possible_are_refused(values):
         follower.Follower(Parameters(**values))
 
 
-@pytest.mark.parametrize(
-    ("pose", "motion", "says"),
-    [
-        ("tf", "", "'tf' has no speed: give motion_message = geometry_msgs/TwistStamped or nav_msgs/Odometry"),
-        ("geometry_msgs/PoseStamped", "sensor_msgs/Imu", "has no speed"),
-        ("geometry_msgs/Pose", "", "must be one of nav_msgs/Odometry, geometry_msgs/PoseStamped, tf"),
-        ("nav_msgs/Odometry", "Twist", "motion_message = 'Twist': must be one of empty, geometry_msgs/TwistStamped"),
-    ],
-)
+@pytest.mark.parametrize(("pose", "motion", "says"), [
+    ("tf", "", "'tf' has no speed: give motion_message = geometry_msgs/TwistStamped or nav_msgs/Odometry"),
+    ("geometry_msgs/PoseStamped", "sensor_msgs/Imu", "has no speed"),
+    ("geometry_msgs/Pose", "", "must be one of nav_msgs/Odometry, geometry_msgs/PoseStamped, tf"),
+    ("nav_msgs/Odometry", "Twist", "motion_message = 'Twist': must be one of empty, geometry_msgs/TwistStamped"),
+])  # fmt: skip
 def test_sources_of_pose_and_motion_that_are_not_possible_are_refused(Follower, pose, motion, says):
     values = vars(Parameters()) | {"pose_message": pose, "motion_message": motion}
     make = Parameters if Follower is follower.Follower else Record  # the C++ class checks them by itself

@@ -145,37 +145,31 @@ _GRAVITY = 9.81 * 0.03 * np.sin(2.0 * np.pi * _TIME / 30.0)
 _PEDAL = np.where(_REQUEST > 0.0, _REQUEST / 5.0, _REQUEST / 9.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"force_command": None}, "no column for force_command"),
-        ({"speed": np.full(1800, 1.5)}, "s above 2 m/s: at least 20 s"),
-        ({"force_command": np.full(1800, 100.0)}, "drive with changing force, and brake"),
-        ({"force_command": None, "throttle": 100.0 * _PEDAL, "brake": 0.0 * _PEDAL}, "--units throttle=%"),
-        ({"force_command": None, "throttle": np.abs(_PEDAL), "brake": 0.0 * _PEDAL}, "hardly any braking"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"force_command": None}, "no column for force_command"),
+    ({"speed": np.full(1800, 1.5)}, "s above 2 m/s: at least 20 s"),
+    ({"force_command": np.full(1800, 100.0)}, "drive with changing force, and brake"),
+    ({"force_command": None, "throttle": 100.0 * _PEDAL, "brake": 0.0 * _PEDAL}, "--units throttle=%"),
+    ({"force_command": None, "throttle": np.abs(_PEDAL), "brake": 0.0 * _PEDAL}, "hardly any braking"),
+])  # fmt: skip
 def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -> None:
     log = {name: values for name, values in (_log() | changes).items() if values is not None}
     with pytest.raises(InvalidInput, match=message):
         identify_drive(log, CAR)
 
 
-@pytest.mark.parametrize(
-    ("signal", "values", "message"),
-    [
-        ("acceleration_command", _REQUEST, ""),
-        ("acceleration_command", -_REQUEST, "--flip acceleration_command"),
-        ("acceleration_command", _REQUEST / 9.81, "in g"),
-        ("acceleration_command", 100.0 * _PEDAL, "per cent"),
-        ("acceleration_command", _PEDAL, "a pedal of 0 to 1"),
-        ("force_command", CAR.mass * _REQUEST, ""),
-        ("force_command", 1e-3 * CAR.mass * _REQUEST, "in kN"),
-        ("longitudinal_acceleration", _CHANGE, ""),
-        ("longitudinal_acceleration", -_CHANGE, "--flip longitudinal_acceleration"),
-        ("longitudinal_acceleration", _CHANGE / 9.81, "in g"),
-    ],
-)
+@pytest.mark.parametrize(("signal", "values", "message"), [
+    ("acceleration_command", _REQUEST, ""),
+    ("acceleration_command", -_REQUEST, "--flip acceleration_command"),
+    ("acceleration_command", _REQUEST / 9.81, "in g"),
+    ("acceleration_command", 100.0 * _PEDAL, "per cent"),
+    ("acceleration_command", _PEDAL, "a pedal of 0 to 1"),
+    ("force_command", CAR.mass * _REQUEST, ""),
+    ("force_command", 1e-3 * CAR.mass * _REQUEST, "in kN"),
+    ("longitudinal_acceleration", _CHANGE, ""),
+    ("longitudinal_acceleration", -_CHANGE, "--flip longitudinal_acceleration"),
+    ("longitudinal_acceleration", _CHANGE / 9.81, "in g"),
+])  # fmt: skip
 def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit_is_wrong(
     signal, values, message
 ) -> None:

@@ -62,12 +62,10 @@ def integrated(
         v = float(np.interp(t, time, pace))
         late = min(max(math.floor((t - DEAD_TIME) / PERIOD + 1e-9), 0), time.size - 1)
         return [
-            (front * af + rear * ar) / CAR.mass - v * r,
-            (CAR.lf * front * af - CAR.lr * rear * ar) / CAR.yaw_inertia,
+            (front * af + rear * ar) / CAR.mass - v * r, (CAR.lf * front * af - CAR.lr * rear * ar) / CAR.yaw_inertia,
             v * (delta - math.atan2(vy + CAR.lf * r, v) - af) / RELAXATION,
-            -v * (math.atan2(vy - CAR.lr * r, v) + ar) / RELAXATION,
-            (command[late] + BIAS - delta) / LAG,
-        ]
+            -v * (math.atan2(vy - CAR.lr * r, v) + ar) / RELAXATION, (command[late] + BIAS - delta) / LAG,
+        ]  # fmt: skip
 
     start = [0.0, 0.0, 0.0, 0.0, command[0] + BIAS]
     x = odeint(slope, start, time, tfirst=True, hmax=0.01, rtol=1e-7, atol=1e-9).T
@@ -365,20 +363,17 @@ def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
     assert answer["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.2)
 
 
-@pytest.mark.parametrize(
-    ("signal", "factor", "remedy"),
-    [
-        ("command", -1.0, "--flip command"),
-        ("yaw_rate", -1.0, "--flip"),
-        ("command", 180.0 / math.pi, "--units command=deg"),
-        ("command", 16.0, "--steering-ratio 1"),
-        ("command", 16.0 * 180.0 / math.pi, "--units command=deg --steering-ratio"),
-        ("yaw_rate", 180.0 / math.pi, "--units"),
-        ("speed", 3.6, "--units speed=km/h"),
-        ("acceleration", -1.0, "--flip acceleration"),
-        ("acceleration", 1.0 / 9.80665, "--units acceleration=g"),
-    ],
-)
+@pytest.mark.parametrize(("signal", "factor", "remedy"), [
+    ("command", -1.0, "--flip command"),
+    ("yaw_rate", -1.0, "--flip"),
+    ("command", 180.0 / math.pi, "--units command=deg"),
+    ("command", 16.0, "--steering-ratio 1"),
+    ("command", 16.0 * 180.0 / math.pi, "--units command=deg --steering-ratio"),
+    ("yaw_rate", 180.0 / math.pi, "--units"),
+    ("speed", 3.6, "--units speed=km/h"),
+    ("acceleration", -1.0, "--flip acceleration"),
+    ("acceleration", 1.0 / 9.80665, "--units acceleration=g"),
+])  # fmt: skip
 def test_a_wrong_sign_or_unit_is_named_with_the_option_that_mends_it(
     log: dict[str, np.ndarray], signal: str, factor: float, remedy: str
 ) -> None:
@@ -410,24 +405,21 @@ ROW = 400
 """A row of the log, at 20 s, in a bend."""
 
 
-@pytest.mark.parametrize(
-    ("signal", "rows", "value"),
-    [
-        ("yaw_rate", [ROW], math.inf),
-        ("yaw_rate", [ROW], 1e300),
-        ("yaw_rate", [ROW], 1e4),
-        ("yaw_rate", [1, ROW, ROW + 1, 1198], -1.0),
-        ("yaw_rate", [ROW], 0.4),
-        ("yaw_rate", range(ROW, ROW + 20), 5.0),
-        ("speed", range(7, 1200, 100), 1e9),
-        ("speed", range(7, 1200, 100), 0.0),
-        ("command", [ROW], 1e300),
-        ("command", [ROW, ROW + 1], 2.0),
-        ("acceleration", [ROW], 40.0),
-        ("wheel", [ROW], -0.5),
-        ("yaw", [ROW], 2.0),
-    ],
-)
+@pytest.mark.parametrize(("signal", "rows", "value"), [
+    ("yaw_rate", [ROW], math.inf),
+    ("yaw_rate", [ROW], 1e300),
+    ("yaw_rate", [ROW], 1e4),
+    ("yaw_rate", [1, ROW, ROW + 1, 1198], -1.0),
+    ("yaw_rate", [ROW], 0.4),
+    ("yaw_rate", range(ROW, ROW + 20), 5.0),
+    ("speed", range(7, 1200, 100), 1e9),
+    ("speed", range(7, 1200, 100), 0.0),
+    ("command", [ROW], 1e300),
+    ("command", [ROW, ROW + 1], 2.0),
+    ("acceleration", [ROW], 40.0),
+    ("wheel", [ROW], -0.5),
+    ("yaw", [ROW], 2.0),
+])  # fmt: skip
 def test_outliers_are_counted_and_left_out_and_all_else_is_kept(signal: str, rows: Any, value: float) -> None:
     drive = driven(60.0)
     drive["yaw"] = np.remainder(np.cumsum(PERIOD * drive["yaw_rate"]) + math.pi, math.tau) - math.pi

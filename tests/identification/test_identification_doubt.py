@@ -62,16 +62,13 @@ def motorway() -> dict[str, Any]:
 
 
 # -- columns that nothing measured ------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("name", "compute", "sentence"),
-    [
-        ("acceleration", lambda m: np.round(m["speed"] * m["yaw_rate"], 3), "speed times yaw rate"),
-        ("wheel", lambda m: np.round(held(m["command"], 3) / 1.2, 5), "the command, 0.15 s later"),
-        ("yaw", lambda m: np.cumsum(PERIOD * m["yaw_rate"]), "one measurement"),
-        ("vy", lambda m: 0.0 * m["time"], "0 in every row"),
-        ("vy", lambda m: 1.2 * m["yaw_rate"], "the yaw rate times a constant"),
-    ],
-)
+@pytest.mark.parametrize(("name", "compute", "sentence"), [
+    ("acceleration", lambda m: np.round(m["speed"] * m["yaw_rate"], 3), "speed times yaw rate"),
+    ("wheel", lambda m: np.round(held(m["command"], 3) / 1.2, 5), "the command, 0.15 s later"),
+    ("yaw", lambda m: np.cumsum(PERIOD * m["yaw_rate"]), "one measurement"),
+    ("vy", lambda m: 0.0 * m["time"], "0 in every row"),
+    ("vy", lambda m: 1.2 * m["yaw_rate"], "the yaw rate times a constant"),
+])  # fmt: skip
 def test_a_column_that_is_computed_from_others_is_left_out_and_said(name: str, compute: Any, sentence: str) -> None:
     likelihood = prepare(base() | {name: compute(base())}, CAR)
     assert not likelihood.present[name]

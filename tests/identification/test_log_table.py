@@ -31,17 +31,14 @@ def written(tmp_path, columns: dict[str, Any], units: str = "") -> Any:
     return path
 
 
-@pytest.mark.parametrize(
-    ("name", "times"),
-    [
-        ("timestamp_ns", NANOSECONDS),
-        ("time_us", NANOSECONDS // 1000),
-        ("timestamp", [date.isoformat() for date in DATES]),
-        ("time", [date.isoformat() + "Z" for date in DATES]),
-        ("time", [date.isoformat(sep=" ", timespec="milliseconds") + "+02:00" for date in DATES]),
-        ("time", [date.strftime("%H:%M:%S.%f") for date in DATES]),
-    ],
-)
+@pytest.mark.parametrize(("name", "times"), [
+    ("timestamp_ns", NANOSECONDS),
+    ("time_us", NANOSECONDS // 1000),
+    ("timestamp", [date.isoformat() for date in DATES]),
+    ("time", [date.isoformat() + "Z" for date in DATES]),
+    ("time", [date.isoformat(sep=" ", timespec="milliseconds") + "+02:00" for date in DATES]),
+    ("time", [date.strftime("%H:%M:%S.%f") for date in DATES]),
+])  # fmt: skip
 def test_times_are_read_as_recorders_write_them(tmp_path, name: str, times: Any) -> None:
     read = read_columns(written(tmp_path, {name: times} | SIGNALS), Reading())
     assert np.allclose(read.values["time"], TIME, rtol=0.0, atol=1e-9)

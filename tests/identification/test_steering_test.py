@@ -94,15 +94,12 @@ def test_the_estimate_is_the_delay_with_which_a_learning_controller_begins():
         assert getattr(start, name) == pytest.approx(getattr(prior, name))
 
 
-@pytest.mark.parametrize(
-    ("speed", "signals", "sentence"),
-    [
-        (3.5, {"yaw_rate": 0.0}, "speed = 3.5 m/s at t = 0.000 s: drive 1.5 to 3 m/s"),
-        (0.0, {"yaw_rate": 0.0}, "speed = 0 m/s and no wheel angle measured"),
-        (2.0, {}, "neither wheel angle nor yaw rate measured"),
-        (math.nan, {"wheel_angle": 0.0}, "speed = nan m/s"),
-    ],
-)
+@pytest.mark.parametrize(("speed", "signals", "sentence"), [
+    (3.5, {"yaw_rate": 0.0}, "speed = 3.5 m/s at t = 0.000 s: drive 1.5 to 3 m/s"),
+    (0.0, {"yaw_rate": 0.0}, "speed = 0 m/s and no wheel angle measured"),
+    (2.0, {}, "neither wheel angle nor yaw rate measured"),
+    (math.nan, {"wheel_angle": 0.0}, "speed = nan m/s"),
+])  # fmt: skip
 def test_a_sample_that_shows_no_steering_ends_the_test_with_a_sentence(speed, signals, sentence):
     test = at.SteeringTest(CAR)
     assert test.step(0.0, speed, **signals) == 0.0

@@ -175,6 +175,7 @@ BOUNDS = {
     "FrictionWindEstimator": "period noise_vy noise_yaw_rate noise_acceleration (0, inf)",
     "KalmanFilter": "bound settling distrust trust window[0] window[1] friction (0, inf); oldest [0, 2];"
     "spread[0] spread[1] patience [0, inf); shape_factor (1, 2); longest [0, 5]",
+    "KinematicMPC": "stages [1, 100]; step (0, inf)",
     "KnownWithin": "mass yaw_inertia stiffness_front stiffness_rear load_transfer_time frontal_area air_density"
     " drag_coefficient side_force_slope yaw_moment_slope wind_angle_limit rolling_resistance engine_power"
     " traction_limit brake_limit steering_rate steering_limit steering_ratio [1, 10];"
@@ -217,7 +218,9 @@ BOUNDS = {
     "track_front track_rear load_transfer_time (0, 10]; cg_height [0, 5]; frontal_area [0, 50];"
     "air_density drag_coefficient [0, 10]; side_force_slope yaw_moment_slope [0, 100]; wind_angle_limit (0, pi/2];"
     "rolling_resistance drive_front brake_front [0, 1]; traction_limit brake_limit (0, 1e6]",
+    "check_estimator": "steps [1, inf)",
     "check_plant": "period (0, inf)",
+    "check_scheduler": "samples [1, inf); seed [0, inf)",
     "compute_metrics": "move_weight [0, inf)",
     "export_fmu": "period furthest (0, inf)",
     "fit_road": "max_deviation (0, inf)",
@@ -229,6 +232,7 @@ BOUNDS = {
     "friction[0] friction[1] (0, 3]; demand[0] demand[1] (0, 1]; heading (0, 0.5]",
     "road_through": "noise [0, inf)",
     "rollout": "seed [0, 2**63)",
+    "rollout_batch": "threads [1, inf)",
     "shadow": "computation [0, 1)",
     "simulate": "seed [0, 2**63)",
     "vehicle_from_data_sheet": "mass [600, 3500]; wheelbase [1.7, 5]; load [0, inf)",
@@ -248,7 +252,7 @@ def stop(*_):
 
 IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
     "KinematicMPC": (lambda **options: at.KinematicMPC(CAR, **options),
-                     "cutoff [0, inf); stages [1, 100]; step period (0, inf); computation [0, 1]"),
+                     "cutoff [0, inf); period (0, inf); computation [0, 1]"),
     "LQR": (lambda **options: at.LQR(CAR, **options), "preview_time [0, inf); period (0, inf)"),
     "PreviewLQR": (lambda **options: at.PreviewLQR(CAR, **options),
                    "q_e q_heading r period (0, inf); ahead (-inf, 10]; computation [0, 1]"),
@@ -270,9 +274,8 @@ IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
 
 UNBOUNDED = {
     "KinematicMPC": {"weights"}, "RoadAhead": {"station"}, "RoadDrive": {"reference"}, "Trajectory": {"failed_at"},
-    "UserController": {"memory_size"}, "UserEstimator": {"memory_size"}, "check_estimator": {"steps"},
-    "check_scheduler": {"samples", "seed"}, "export_c": {"furthest"},
-    "export_page": {"speed", "lateral_acceleration", "seed"}, "rollout_batch": {"threads"},
+    "UserController": {"memory_size"}, "UserEstimator": {"memory_size"}, "export_c": {"furthest"},
+    "export_page": {"speed", "lateral_acceleration", "seed"},
 }  # fmt: skip
 """Numbers in signatures of public calls that have no interval, or one that depends on other arguments."""
 PLACES = {"-pi/2": -math.pi / 2, "-pi/4": -math.pi / 4, "pi/4": math.pi / 4, "pi/2": math.pi / 2, "2**63": 2**63}

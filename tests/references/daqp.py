@@ -10,12 +10,8 @@ import numpy as np
 from adaptrack.control.qp import QP, Attempt, QPSolver, QPStatus, Solution
 
 _STATUS = {
-    1: QPStatus.SOLVED,
-    2: QPStatus.SOLVED,
-    -1: QPStatus.INFEASIBLE,
-    -5: QPStatus.NOT_CONVEX,
-    -6: QPStatus.INFEASIBLE,
-}
+    1: QPStatus.SOLVED, 2: QPStatus.SOLVED, -1: QPStatus.INFEASIBLE, -5: QPStatus.NOT_CONVEX, -6: QPStatus.INFEASIBLE,
+}  # fmt: skip
 """DAQP's exit flags; the others (cycling, iteration limit) are CAPPED."""
 
 _NO_LOWER_BOUND = -1e30

@@ -74,26 +74,18 @@ class Function(NamedTuple):
 
 
 CIRCULAR = {
-    "any": of(anything),
-    "a turn": of(even(-4.0, 4.0)),
-    "below 1e5": of(even(-1e5, 1e5)),
-    "above 1e5": of(scales(16, 60)),
-    "right angles": of(right_angles),
-    "tiny": of(scales(-1074, -5)),
-}
+    "any": of(anything), "a turn": of(even(-4.0, 4.0)), "below 1e5": of(even(-1e5, 1e5)),
+    "above 1e5": of(scales(16, 60)), "right angles": of(right_angles), "tiny": of(scales(-1074, -5)),
+}  # fmt: skip
 LOGARITHMIC = {
-    "any": of(positive),
-    "near 1": of(near_one),
-    "0.5 to 2": of(even(0.5, 2.0)),
+    "any": of(positive), "near 1": of(near_one), "0.5 to 2": of(even(0.5, 2.0)),
     "subnormal": of(scales(-1074, -1022, (1.0,))),
-}
+}  # fmt: skip
 TWO = {
-    "any": of(anything, anything),
-    "alike": of(even(-1.0, 1.0), even(-1.0, 1.0)),
-    "apart": of(scales(-60, 60), scales(-60, 60)),
-    "subnormal": of(scales(-1074, -1000), scales(-1074, -1000)),
+    "any": of(anything, anything), "alike": of(even(-1.0, 1.0), even(-1.0, 1.0)),
+    "apart": of(scales(-60, 60), scales(-60, 60)), "subnormal": of(scales(-1074, -1000), scales(-1074, -1000)),
     "huge": of(scales(1000, 1023), scales(1000, 1023)),
-}
+}  # fmt: skip
 FUNCTIONS = {
     "sin": Function(trigonometric.sin, mp.sin, CIRCULAR),
     "cos": Function(trigonometric.cos, mp.cos, CIRCULAR),

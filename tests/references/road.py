@@ -92,8 +92,6 @@ def figure_of_eight(arc, line, radius=30.0):
     """Elements of a closed road that crosses itself at a right angle."""
     turn = 1.5 * math.pi * radius
     return [
-        arc(length=turn, curvature=1.0 / radius),
-        line(length=2.0 * radius),
-        arc(length=turn, curvature=-1.0 / radius),
-        line(length=2.0 * radius),
-    ]
+        arc(length=turn, curvature=1.0 / radius), line(length=2.0 * radius),
+        arc(length=turn, curvature=-1.0 / radius), line(length=2.0 * radius),
+    ]  # fmt: skip

@@ -75,19 +75,16 @@ def test_what_a_drive_has_learned_is_printed_with_its_intervals(lines):
     assert low < value < high
 
 
-@pytest.mark.parametrize(
-    ("command", "answer", "then"),
-    [
-        (["drive", "sine", "-o", "duration=1.0"], r"[\d.]+ [mc]m RMS error, largest ", ["drive"]),
-        (["drive", "sine", "step", "-o", "duration=1.0"], r"Largest error [\d.]+ [mc]?m. 0 of 2 ", ["drive"]),
-        (["road", "check", "mountain"], r"The road can be driven: 2.17 km, tightest radius 10.4 m, ", ["drive"]),
-        (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
-        (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
-        (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
-        (["list", "scenarios"], "9 scenarios", ["drive"]),
-        (["paper", "campaign", "paper-grid"], r"paper-grid: 6.435 operating points; ", ["paper", "train"]),
-    ],
-)
+@pytest.mark.parametrize(("command", "answer", "then"), [
+    (["drive", "sine", "-o", "duration=1.0"], r"[\d.]+ [mc]m RMS error, largest ", ["drive"]),
+    (["drive", "sine", "step", "-o", "duration=1.0"], r"Largest error [\d.]+ [mc]?m. 0 of 2 ", ["drive"]),
+    (["road", "check", "mountain"], r"The road can be driven: 2.17 km, tightest radius 10.4 m, ", ["drive"]),
+    (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
+    (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
+    (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
+    (["list", "scenarios"], "9 scenarios", ["drive"]),
+    (["paper", "campaign", "paper-grid"], r"paper-grid: 6.435 operating points; ", ["paper", "train"]),
+])  # fmt: skip
 def test_every_command_begins_with_its_answer_and_ends_with_a_command_that_parses(lines, command, answer, then):
     first, *_, last = lines(*command)
     assert re.match(answer, first)

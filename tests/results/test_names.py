@@ -13,16 +13,10 @@ from adaptrack.results import Run, write_drive_page
 from adaptrack.scenario import load_scenario
 
 NASTY = {
-    "path": "/../../../x",
-    "markup": "[/red] [bold]x",
-    "mathematics": r"$\frac{$ \$ $$",
-    "html": "<script>alert(1)</script>&amp;\"'",
-    "long": "x" * 10_000,
-    "right to left": "\u202eabc\u200f",
-    "terminal": "\x1b[31mred\x07",
-    "scripts": "名前 é 🚗",
-    "nothing": " ",
-}
+    "path": "/../../../x", "markup": "[/red] [bold]x", "mathematics": r"$\frac{$ \$ $$",
+    "html": "<script>alert(1)</script>&amp;\"'", "long": "x" * 10_000, "right to left": "\u202eabc\u200f",
+    "terminal": "\x1b[31mred\x07", "scripts": "名前 é 🚗", "nothing": " ",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)
@@ -57,13 +51,8 @@ def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypat
     assert "<script>alert" not in page.read_text(encoding="utf-8")
     text = Outline(page.read_text(encoding="utf-8")).text
     escaped = (
-        r"\ud800 [/red] $\x00",
-        "[/red] [bold]x",
-        r"$\frac{$ \$ $$",
-        "名前 é 🚗",
-        r"\x1b[31mred\x07",
-        r"\u202eabc",
-    )
+        r"\ud800 [/red] $\x00", "[/red] [bold]x", r"$\frac{$ \$ $$", "名前 é 🚗", r"\x1b[31mred\x07", r"\u202eabc",
+    )  # fmt: skip
     assert [name for name in escaped if name not in text] == []
     assert len(list(tmp_path.glob("*-tracking.png"))) == 3
 

@@ -30,17 +30,10 @@ def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=
     wave = np.sin(0.9 * t)
     horizon = np.round(30 + 15 * wave).astype(int) if adapt else np.full(n, 35)
     record = provenance(
-        "2026-01-02T03:04:05+00:00",
-        scenario=scenario,
-        plant="dual-track",
-        tyre="constant-stiffness",
-        vehicle="paper",
-        profile="paper",
-        seed=7,
-        preview=False,
-        controller=controller,
+        "2026-01-02T03:04:05+00:00", scenario=scenario, plant="dual-track", tyre="constant-stiffness",
+        vehicle="paper", profile="paper", seed=7, preview=False, controller=controller,
         tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
-    )
+    )  # fmt: skip
     return Trajectory(
         t=t,
         X=15 * t,
@@ -128,12 +121,10 @@ def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report") / "out"
     standard = drive()
     runs = [
-        standard,
-        drive("nn", scale=0.4, adapt=True),
-        lost(drive("anfis", scale=0.5, adapt=True)),
+        standard, drive("nn", scale=0.4, adapt=True), lost(drive("anfis", scale=0.5, adapt=True)),
         drive(scenario="general-trajectory", n=2000),
         drive("nn", "general-trajectory", scale=0.3, adapt=True, n=2000),
-    ]
+    ]  # fmt: skip
     with pictures(drawn=True):
         path = write_drive_page(folder, runs, title="Both tests", command="adaptrack drive --out <here>")
     return folder, path.read_text(), standard
@@ -375,15 +366,12 @@ def test_steps_in_which_a_safe_angle_was_held_are_marked():
     assert steering.get_title("right") == "□ held"
 
 
-@pytest.mark.parametrize(
-    ("wheels", "key"),
-    [
-        ([0.7, 0.7, 0.7, 0.7], []),
-        ([0.8, 0.3, 0.8, 0.3], ["left", "right"]),
-        ([0.8, 0.8, 0.3, 0.3], ["front", "rear"]),
-        ([0.8, 0.7, 0.6, 0.5], ["front left", "front right", "rear left", "rear right"]),
-    ],
-)
+@pytest.mark.parametrize(("wheels", "key"), [
+    ([0.7, 0.7, 0.7, 0.7], []),
+    ([0.8, 0.3, 0.8, 0.3], ["left", "right"]),
+    ([0.8, 0.8, 0.3, 0.3], ["front", "rear"]),
+    ([0.8, 0.7, 0.6, 0.5], ["front left", "front right", "rear left", "rear right"]),
+])  # fmt: skip
 def test_friction_is_drawn_for_the_wheels_that_differ(wheels, key):
     run = dataclasses.replace(drive(), friction=np.tile(wheels, (280, 1)))
     legend = figure_of(conditions_picture, {"x": run}).axes[1].get_legend()
@@ -399,35 +387,29 @@ def test_figures_leave_the_users_matplotlib_alone():
     assert dict(mpl.rcParams) == before
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0318, "0.0318"),
-        (0.00003, "3.00·10⁻⁵"),
-        (0.9996, "1.00"),
-        (1234.5, "1\u202f234"),
-        (12, "12"),
-        (-0.25, "−0.250"),
-        (0.0, "0"),
-        (2.5e7, "2.50·10⁷"),
-        (float("nan"), "–"),
-        (float("inf"), "∞"),
-        (None, "–"),
-    ],
-)
+@pytest.mark.parametrize(("value", "text"), [
+    (0.0318, "0.0318"),
+    (0.00003, "3.00·10⁻⁵"),
+    (0.9996, "1.00"),
+    (1234.5, "1\u202f234"),
+    (12, "12"),
+    (-0.25, "−0.250"),
+    (0.0, "0"),
+    (2.5e7, "2.50·10⁷"),
+    (float("nan"), "–"),
+    (float("inf"), "∞"),
+    (None, "–"),
+])  # fmt: skip
 def test_numbers_are_written_for_readers(value, text):
     assert words.number(value) == text
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "ticks"),
-    [
-        (0.95, 1.2, [0.95, 1.0, 1.05, 1.1, 1.15, 1.2]),
-        (0.9, 3.2, [1.0, 1.5, 2.0, 3.0]),
-        (1.0, 100.0, [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]),
-        (0.5, 1e4, [1.0, 10.0, 100.0, 1000.0, 1e4]),
-    ],
-)
+@pytest.mark.parametrize(("low", "high", "ticks"), [
+    (0.95, 1.2, [0.95, 1.0, 1.05, 1.1, 1.15, 1.2]),
+    (0.9, 3.2, [1.0, 1.5, 2.0, 3.0]),
+    (1.0, 100.0, [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]),
+    (0.5, 1e4, [1.0, 10.0, 100.0, 1000.0, 1e4]),
+])  # fmt: skip
 def test_a_logarithmic_axis_has_round_numbers_however_short_it_is(low, high, ticks):
     assert log_ticks(low, high)() == pytest.approx(ticks)
     axes = Figure().subplots()

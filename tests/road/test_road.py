@@ -25,19 +25,15 @@ def eight():
 
 
 # -- positions --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "segment",
-    [
-        Line(length=123.4),
-        Arc(length=200.0, curvature=0.04),
-        Arc(length=150.0, curvature=-0.11),
-        BEND,
-        Clothoid(length=90.0, start_curvature=0.06, end_curvature=-0.03),
-        Clothoid(length=500.0, start_curvature=-1e-3, end_curvature=-1.0001e-3),
-        Clothoid(length=40.0, start_curvature=0.2, end_curvature=1.0),
-    ],
-    ids=lambda segment: segment.kind,
-)
+@pytest.mark.parametrize("segment", [
+    Line(length=123.4),
+    Arc(length=200.0, curvature=0.04),
+    Arc(length=150.0, curvature=-0.11),
+    BEND,
+    Clothoid(length=90.0, start_curvature=0.06, end_curvature=-0.03),
+    Clothoid(length=500.0, start_curvature=-1e-3, end_curvature=-1.0001e-3),
+    Clothoid(length=40.0, start_curvature=0.2, end_curvature=1.0),
+], ids=lambda segment: segment.kind)  # fmt: skip
 def test_lines_arcs_and_clothoids_lie_where_closed_forms_and_quadrature_say(segment):
     (table,) = tabulate([segment])
     s = np.linspace(0.0, segment.length, 301)
@@ -117,26 +113,23 @@ def test_an_open_road_goes_on_straight_and_a_closed_one_around():
         np.testing.assert_allclose(circle.at(s), exact, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Road.from_segments([]), "no segments"),
-        (lambda: Road.from_segments([Line(length=10.0)], closed=True), "10 m apart at the end and the start"),
-        (lambda: Road.from_segments([Line(length=10.0)], friction=0.0), "friction"),
-        (lambda: Road.from_segments([Line(length=10.0)], bank=2.0), "angle in rad"),
-        (lambda: Road.from_segments([Line(length=10.0)], width_left="wide"), "width_left"),
-        (lambda: Road.from_segments([Line(length=10.0)], speed_limit=([0.0, 0.0], [1.0, 2.0])), "increase"),
-        (lambda: Line(length=-1.0), "length"),
-        (lambda: two_lines((10.0, 0.5, 0.0)), "0.5 m apart at s = 10.00 m"),
-        (lambda: two_lines((10.0, 0.0, 0.1)), "0.1 rad of kink"),
-        (lambda: generate_road("mountains"), "Did you mean 'mountain'"),
-        (lambda: generate_road("town", seed=-1), "seed"),
-        (lambda: generate_road("town", width_left=-1.0), "> 0"),
-        (lambda: road_through([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (2.0, 0.0)]), "3 points lie apart.*at least 4"),
-        (lambda: Road.from_segments([Line(length=10.0)]).project(math.nan, 0.0), "finite"),
-        (lambda: Road.from_segments([Line(length=10.0)]).along("colour", 0.0), "width_left"),
-    ],
-)
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: Road.from_segments([]), "no segments"),
+    (lambda: Road.from_segments([Line(length=10.0)], closed=True), "10 m apart at the end and the start"),
+    (lambda: Road.from_segments([Line(length=10.0)], friction=0.0), "friction"),
+    (lambda: Road.from_segments([Line(length=10.0)], bank=2.0), "angle in rad"),
+    (lambda: Road.from_segments([Line(length=10.0)], width_left="wide"), "width_left"),
+    (lambda: Road.from_segments([Line(length=10.0)], speed_limit=([0.0, 0.0], [1.0, 2.0])), "increase"),
+    (lambda: Line(length=-1.0), "length"),
+    (lambda: two_lines((10.0, 0.5, 0.0)), "0.5 m apart at s = 10.00 m"),
+    (lambda: two_lines((10.0, 0.0, 0.1)), "0.1 rad of kink"),
+    (lambda: generate_road("mountains"), "Did you mean 'mountain'"),
+    (lambda: generate_road("town", seed=-1), "seed"),
+    (lambda: generate_road("town", width_left=-1.0), "> 0"),
+    (lambda: road_through([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (2.0, 0.0)]), "3 points lie apart.*at least 4"),
+    (lambda: Road.from_segments([Line(length=10.0)]).project(math.nan, 0.0), "finite"),
+    (lambda: Road.from_segments([Line(length=10.0)]).along("colour", 0.0), "width_left"),
+])  # fmt: skip
 def test_what_is_no_road_is_refused_with_a_reason(make, words):
     with pytest.raises((InvalidInput, UnknownName), match=words):
         make()

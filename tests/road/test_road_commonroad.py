@@ -75,17 +75,14 @@ def test_after_one_lanelet_the_road_goes_on_where_there_is_one_way(tmp_path):
     assert load_road(scenario(tmp_path / "map.xml"), road=1).length == pytest.approx(60.0, abs=0.05)
 
 
-@pytest.mark.parametrize(
-    ("lanelets", "road", "words"),
-    [
-        (FORKED + SIGN, None, "3 lanelets; say which"),
-        (FORKED + SIGN, "2,3", "3 does not follow 2; its successors: none"),
-        (FORKED + SIGN, "7", "no lanelet is 7"),
-        (FORKED + SIGN, "a", "give ids of lanelets"),
-        ("", None, "no <lanelet>"),
-        ("<lanelet id='x'/>", None, "cannot read it"),
-    ],
-)
+@pytest.mark.parametrize(("lanelets", "road", "words"), [
+    (FORKED + SIGN, None, "3 lanelets; say which"),
+    (FORKED + SIGN, "2,3", "3 does not follow 2; its successors: none"),
+    (FORKED + SIGN, "7", "no lanelet is 7"),
+    (FORKED + SIGN, "a", "give ids of lanelets"),
+    ("", None, "no <lanelet>"),
+    ("<lanelet id='x'/>", None, "cannot read it"),
+])  # fmt: skip
 def test_a_scenario_without_such_a_chain_is_refused(tmp_path, lanelets, road, words):
     with pytest.raises(ConfigError, match=words):
         load_road(scenario(tmp_path / "map.xml", lanelets), road=road)

@@ -132,16 +132,12 @@ POINTS = [
 ]
 
 
-@pytest.mark.parametrize(
-    "header",
-    [
-        "",
-        "# a track\n# x_m,y_m,w_tr_right_m,w_tr_left_m\n",
-        "x,y,width_right,width_left\n",
-        "\ufeffx_m, y_m, w_tr_right_m, w_tr_left_m\n\n",
-    ],
-    ids=["none", "comment", "line", "byte order mark"],
-)
+@pytest.mark.parametrize("header", [
+    "",
+    "# a track\n# x_m,y_m,w_tr_right_m,w_tr_left_m\n",
+    "x,y,width_right,width_left\n",
+    "\ufeffx_m, y_m, w_tr_right_m, w_tr_left_m\n\n",
+], ids=["none", "comment", "line", "byte order mark"])  # fmt: skip
 def test_a_track_is_read_with_or_without_a_header(tmp_path, header):
     road = load_road(csv(tmp_path / "track.csv", POINTS, header))
     assert road.name == "track"
@@ -186,35 +182,29 @@ def test_the_speed_of_a_race_line_becomes_the_limit_and_the_plan(tmp_path):
         speed_limit_plan(load_road(path))
 
 
-@pytest.mark.parametrize(
-    ("speed", "title", "column", "words"),
-    [
-        ("nan", "vx_mps", "vx_mps", "line 7: 'nan' is not a finite number"),
-        ("-3", "vx_mps", "vx_mps", "line 7: vx_mps = -3: must be > 0 and at most 100 m/s"),
-        ("180", "vx_mps", "vx_mps", "line 7: vx_mps = 180: .* at most 100 m/s"),
-        ("50", "v_kmh", "v_kmh", "line 2: column 'v_kmh': must be in m/s; convert"),
-        ("50", "v [rad/s]", "v", "must be in m/s; convert"),
-        ("50", "vx_mps", "vx_mp", "line 2: no single column is 'vx_mp': Did you mean 'vx_mps'"),
-        ("50", "x_m", "x_m", "there are two of them"),
-    ],
-)
+@pytest.mark.parametrize(("speed", "title", "column", "words"), [
+    ("nan", "vx_mps", "vx_mps", "line 7: 'nan' is not a finite number"),
+    ("-3", "vx_mps", "vx_mps", "line 7: vx_mps = -3: must be > 0 and at most 100 m/s"),
+    ("180", "vx_mps", "vx_mps", "line 7: vx_mps = 180: .* at most 100 m/s"),
+    ("50", "v_kmh", "v_kmh", "line 2: column 'v_kmh': must be in m/s; convert"),
+    ("50", "v [rad/s]", "v", "must be in m/s; convert"),
+    ("50", "vx_mps", "vx_mp", "line 2: no single column is 'vx_mp': Did you mean 'vx_mps'"),
+    ("50", "x_m", "x_m", "there are two of them"),
+])  # fmt: skip
 def test_a_column_that_is_no_speed_is_refused(tmp_path, speed, title, column, words):
     path = raceline(tmp_path / "line.csv", [8.0] * 4 + [speed] + [8.0] * 4, title)
     with pytest.raises(ConfigError, match=words):
         load_road(path, speed_column=column)
 
 
-@pytest.mark.parametrize(
-    ("name", "option", "error", "words"),
-    [
-        ("country", {"closed": True}, InvalidInput, "country: closed is an option of .csv, .txt, .xml roads"),
-        ("a.csv", {"seed": 1}, InvalidInput, "a.csv: seed is an option of generated roads"),
-        ("a.toml", {"lane": -1}, InvalidInput, "lane is an option of .xodr roads"),
-        ("a.xodr", {"width_lft": 2.0}, InvalidInput, "unknown option width_lft. Did you mean 'width_left'"),
-        ("none.csv", {}, StorageError, "cannot be read"),
-        ("contry", {}, UnknownName, "country"),
-    ],
-)
+@pytest.mark.parametrize(("name", "option", "error", "words"), [
+    ("country", {"closed": True}, InvalidInput, "country: closed is an option of .csv, .txt, .xml roads"),
+    ("a.csv", {"seed": 1}, InvalidInput, "a.csv: seed is an option of generated roads"),
+    ("a.toml", {"lane": -1}, InvalidInput, "lane is an option of .xodr roads"),
+    ("a.xodr", {"width_lft": 2.0}, InvalidInput, "unknown option width_lft. Did you mean 'width_left'"),
+    ("none.csv", {}, StorageError, "cannot be read"),
+    ("contry", {}, UnknownName, "country"),
+])  # fmt: skip
 def test_other_names_and_options_of_other_kinds_of_roads_are_refused(name, option, error, words):
     with pytest.raises(error, match=words):
         load_road(name, **option)
@@ -512,11 +502,9 @@ def test_elements_of_length_zero_and_elements_beyond_the_end_are_left_out_and_no
 
 def test_a_section_of_a_single_side_leaves_the_other_side_as_it_is(tmp_path):
     path = straight_road(
-        tmp_path / "a.xodr",
-        section(0, lane_text(1), singleSide="true"),
-        section(0, lane_text(-1), singleSide="true"),
-        section(80, lane_text(1), lane_text(2), singleSide="true"),
-    )
+        tmp_path / "a.xodr", section(0, lane_text(1), singleSide="true"),
+        section(0, lane_text(-1), singleSide="true"), section(80, lane_text(1), lane_text(2), singleSide="true"),
+    )  # fmt: skip
     road = load_road(path, lane=-1)
     assert float(road.at(150.0).y) == -1.75
     assert load_road(path).along("width_left", [50.0, 150.0]).tolist() == [3.5, 7.0]
@@ -663,17 +651,13 @@ def tapered(number, start, width, slope):
 OPENS, CLOSES = tapered(-2, 0, 0.0, 3.5), tapered(-2, 60, 3.5, -3.5)
 
 
-@pytest.mark.parametrize(
-    ("sections", "extent"),
-    [
-        ([section(0, lane_text(-1), OPENS)], (20.0, 200.0)),
-        ([section(0, lane_text(-1), lane_text(-2)), section(100, lane_text(-1), CLOSES)], (0.0, 180.0)),
-        ([section(0, lane_text(-1), OPENS), section(100, lane_text(-1), CLOSES)], (20.0, 180.0)),
-        ([section(0, lane_text(-1)), section(50, lane_text(-1), lane_text(-2))], (50.0, 200.0)),
-        ([section(0, lane_text(-1), lane_text(-2)), section(150, lane_text(-1))], (0.0, 150.0)),
-    ],
-    ids=["opens", "closes", "both", "begins", "ends"],
-)
+@pytest.mark.parametrize(("sections", "extent"), [
+    ([section(0, lane_text(-1), OPENS)], (20.0, 200.0)),
+    ([section(0, lane_text(-1), lane_text(-2)), section(100, lane_text(-1), CLOSES)], (0.0, 180.0)),
+    ([section(0, lane_text(-1), OPENS), section(100, lane_text(-1), CLOSES)], (20.0, 180.0)),
+    ([section(0, lane_text(-1)), section(50, lane_text(-1), lane_text(-2))], (50.0, 200.0)),
+    ([section(0, lane_text(-1), lane_text(-2)), section(150, lane_text(-1))], (0.0, 150.0)),
+], ids=["opens", "closes", "both", "begins", "ends"])  # fmt: skip
 def test_a_lane_that_opens_or_closes_is_read_where_it_is_wide_enough(tmp_path, sections, extent):
     road = load_road(straight_road(tmp_path / "a.xodr", *sections), lane=-2)
     start, end = road.at(0.0), road.at(road.length)

@@ -38,16 +38,13 @@ def write_csv(path, header, rows):
 
 
 # -- points -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("record", "error", "deviation"),
-    [
-        (hill_record(2.0), 1e-5, 0.0),
-        (hill_record(10.0), 1e-4, 0.0),
-        (hill_record(2.0, noise=0.1), 0.003, 0.1),
-        (hill_record(1.0, step=0.1), 0.002, 0.1 / math.sqrt(12.0)),
-        (hill_record(1.0, step=1.0), 0.006, 1.0 / math.sqrt(12.0)),
-    ],
-)
+@pytest.mark.parametrize(("record", "error", "deviation"), [
+    (hill_record(2.0), 1e-5, 0.0),
+    (hill_record(10.0), 1e-4, 0.0),
+    (hill_record(2.0, noise=0.1), 0.003, 0.1),
+    (hill_record(1.0, step=0.1), 0.002, 0.1 / math.sqrt(12.0)),
+    (hill_record(1.0, step=1.0), 0.006, 1.0 / math.sqrt(12.0)),
+])  # fmt: skip
 def test_the_heights_of_a_hill_give_its_slope_whatever_their_noise_and_rounding(tmp_path, record, error, deviation):
     road = load_road(write_csv(tmp_path / "hill.csv", "x,y,z", record))
     s = np.linspace(50.0, 1150.0, 400)  # ends of noisy records are less certain
@@ -88,16 +85,13 @@ def test_level_heights_are_a_grade_of_zero_and_a_column_of_grades_counts_before_
     assert "columns left out: z" in road.notes
 
 
-@pytest.mark.parametrize(
-    ("header", "value", "message"),
-    [
-        ("x,y,grade_percent", 5.0, "line 1: column 'grade_percent': a grade must be dz/ds; divide per cent by 100"),
-        ("x,y,grade (%)", 5.0, "line 1: column 'grade .%.': a grade must be dz/ds"),
-        ("x,y,slope_deg", 5.0, "column 'slope_deg': a grade must be dz/ds"),
-        ("x,y,grade", 5.0, "grade = 5.0 at s = .* m: must be dz/ds, at most 0.4 .* divide a grade in per cent by 100"),
-        ("x,y,z [ft]", 0.0, "column 'z .ft.': must be in m; convert it"),
-    ],
-)
+@pytest.mark.parametrize(("header", "value", "message"), [
+    ("x,y,grade_percent", 5.0, "line 1: column 'grade_percent': a grade must be dz/ds; divide per cent by 100"),
+    ("x,y,grade (%)", 5.0, "line 1: column 'grade .%.': a grade must be dz/ds"),
+    ("x,y,slope_deg", 5.0, "column 'slope_deg': a grade must be dz/ds"),
+    ("x,y,grade", 5.0, "grade = 5.0 at s = .* m: must be dz/ds, at most 0.4 .* divide a grade in per cent by 100"),
+    ("x,y,z [ft]", 0.0, "column 'z .ft.': must be in m; convert it"),
+])  # fmt: skip
 def test_grades_in_per_cent_or_degrees_are_refused_with_the_remedy(tmp_path, header, value, message):
     rows = hill_record(5.0)
     rows[:, 2] = value

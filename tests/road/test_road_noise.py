@@ -145,18 +145,15 @@ def arc(row=0, point=(0.0, 0.0), scale=1.0):
     return points
 
 
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        (arc(30, (1e308, 9.0)), "point 30 has a coordinate of 1e[+]308 m"),
-        (arc(30, (30.0, -1e160)), "point 30 has a coordinate of -1e[+]160 m"),
-        (arc(31, (1e5, 9.0)), "point 30 is 1e[+]05 m from the next one"),
-        (arc(30, (math.nan, 9.0)), "point 30 is not finite"),
-        (arc(scale=1e-6), "make a line of .* are x and y in metres"),
-        (np.zeros((9, 2)), "all points are the same"),
-        (np.zeros((3, 2)), "n >= 4"),
-    ],
-)
+@pytest.mark.parametrize(("points", "words"), [
+    (arc(30, (1e308, 9.0)), "point 30 has a coordinate of 1e[+]308 m"),
+    (arc(30, (30.0, -1e160)), "point 30 has a coordinate of -1e[+]160 m"),
+    (arc(31, (1e5, 9.0)), "point 30 is 1e[+]05 m from the next one"),
+    (arc(30, (math.nan, 9.0)), "point 30 is not finite"),
+    (arc(scale=1e-6), "make a line of .* are x and y in metres"),
+    (np.zeros((9, 2)), "all points are the same"),
+    (np.zeros((3, 2)), "n >= 4"),
+])  # fmt: skip
 def test_points_that_are_no_road_in_metres_are_refused_with_the_point(points, words):
     for make in (fit_road, road_through):
         with pytest.raises(InvalidInput, match=words):

@@ -21,24 +21,21 @@ def table(path, header, *columns, mark=","):
     return path
 
 
-@pytest.mark.parametrize(
-    ("above", "mark"),
-    [
-        ("sep=;\nx;y\n", ";"),
-        ('"sep=;"\nx;y\n', ";"),
-        ("SEP=,\nx,y\n", ","),
-        ("% x, y\n", ","),
-        ("% a waypoint file\n% x_m y_m\n", " "),
-        ("// x,y\n", ","),
-        ("%time,wp_x,wp_y\n", ","),
-        ("%time,field.pose.pose.position.x,field.pose.pose.position.y\n", ","),
-        ("easting,northing\n", ","),
-        ("Easting (m);Northing (m)\n", ";"),
-        ("utm_x\tutm_y\n", "\t"),
-        ("x|y\n", "|"),
-        ("", ";"),
-    ],
-)
+@pytest.mark.parametrize(("above", "mark"), [
+    ("sep=;\nx;y\n", ";"),
+    ('"sep=;"\nx;y\n', ";"),
+    ("SEP=,\nx,y\n", ","),
+    ("% x, y\n", ","),
+    ("% a waypoint file\n% x_m y_m\n", " "),
+    ("// x,y\n", ","),
+    ("%time,wp_x,wp_y\n", ","),
+    ("%time,field.pose.pose.position.x,field.pose.pose.position.y\n", ","),
+    ("easting,northing\n", ","),
+    ("Easting (m);Northing (m)\n", ";"),
+    ("utm_x\tutm_y\n", "\t"),
+    ("x|y\n", "|"),
+    ("", ";"),
+])  # fmt: skip
 def test_names_and_marks_above_the_numbers_are_read(tmp_path, above, mark):
     columns = (0.1 * S, X, Y) if "time" in above else (X, Y)
     read = read_points(table(tmp_path / "a.csv", above, *columns, mark=mark))

@@ -42,47 +42,44 @@ def test_the_profile_of_a_bus_is_production_with_all_samples_late():
     assert BUS.without_sample_ages.oldest == 0.0
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "words"),
-    [
-        (lambda: load_profile("papper"), UnknownName, r"no profile is named 'papper'. Did you mean 'paper'\?"),
-        (lambda: load_profile(3), InvalidInput, "not by 3"),
-        (lambda: load_profile("absent.toml"), StorageError, "cannot be read"),
-        (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* give the delay of the steering as dead"),
-        *(
-            (lambda field=field, value=value: Profile(name="own", **{field: value}), InvalidInput, field)
-            for field in (
-                "noise_y",
-                "bias_yaw_rate",
-                "pose_age",
-                "missing",
-                "move_weight",
-                "delay",
-                "noise_station",
-                "speed_resolution",
-                "speed_dead_zone",
-                "speed_age",
-                "motion_age_spread",
-            )
-            for value in (-0.1, math.nan, True)
-        ),
-        (
-            lambda: Profile(name="own", motion_age=0.01, motion_age_spread=0.02),
-            InvalidInput,
-            "not exceed motion_age = 0.01",
-        ),
-        (
-            lambda: BUS.replace(speed_age=0.01),
-            InvalidInput,
-            "speed_age = 0.01 s: must be 0, or at least motion_age_spr",
-        ),
-        (
-            lambda: BUS.replace(station_age=0.01),
-            InvalidInput,
-            "station_age = 0.01 s: must be 0, or at least pose_age_sp",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("make", "error", "words"), [
+    (lambda: load_profile("papper"), UnknownName, r"no profile is named 'papper'. Did you mean 'paper'\?"),
+    (lambda: load_profile(3), InvalidInput, "not by 3"),
+    (lambda: load_profile("absent.toml"), StorageError, "cannot be read"),
+    (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* give the delay of the steering as dead"),
+    *(
+        (lambda field=field, value=value: Profile(name="own", **{field: value}), InvalidInput, field)
+        for field in (
+            "noise_y",
+            "bias_yaw_rate",
+            "pose_age",
+            "missing",
+            "move_weight",
+            "delay",
+            "noise_station",
+            "speed_resolution",
+            "speed_dead_zone",
+            "speed_age",
+            "motion_age_spread",
+        )
+        for value in (-0.1, math.nan, True)
+    ),
+    (
+        lambda: Profile(name="own", motion_age=0.01, motion_age_spread=0.02),
+        InvalidInput,
+        "not exceed motion_age = 0.01",
+    ),
+    (
+        lambda: BUS.replace(speed_age=0.01),
+        InvalidInput,
+        "speed_age = 0.01 s: must be 0, or at least motion_age_spr",
+    ),
+    (
+        lambda: BUS.replace(station_age=0.01),
+        InvalidInput,
+        "station_age = 0.01 s: must be 0, or at least pose_age_sp",
+    ),
+])  # fmt: skip
 def test_impossible_profiles_are_refused(make, error, words):
     with pytest.raises(error, match=words):
         make()
@@ -97,16 +94,13 @@ def test_a_file_makes_a_profile_named_after_it(tmp_path):
     assert lorry.steering == SteeringActuator(lag=0.3, rate=0.2)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("noise_yy = 0.1", r"own.toml: noise_yy: unknown key. Did you mean 'noise_y'\?"),
-        ("period = 0", r"own.toml: period = 0: must be a finite number > 0 and <= 10 \(s, "),
-        ("delay = 1.5", r"own.toml: delay = 1.5: must be 0 "),
-        ("[steering]\nrate = 0.5", r"own.toml: steering.rate = 0.5: a rate limit acts on the lag"),
-        ("period 3", r"own.toml, line 1, column \d+: not valid TOML"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("noise_yy = 0.1", r"own.toml: noise_yy: unknown key. Did you mean 'noise_y'\?"),
+    ("period = 0", r"own.toml: period = 0: must be a finite number > 0 and <= 10 \(s, "),
+    ("delay = 1.5", r"own.toml: delay = 1.5: must be 0 "),
+    ("[steering]\nrate = 0.5", r"own.toml: steering.rate = 0.5: a rate limit acts on the lag"),
+    ("period 3", r"own.toml, line 1, column \d+: not valid TOML"),
+])  # fmt: skip
 def test_an_impossible_file_is_refused_with_file_key_and_remedy(tmp_path, text, message):
     path = tmp_path / "own.toml"
     path.write_text(text)

@@ -49,16 +49,9 @@ ONE_OF_EACH: list[Shape] = [
     Sum(terms=(Constant(value=1.0), Gust(peak=5.0, start=1.0, duration=2.0))),
 ]
 NAMES = [
-    "triple-lane-change",
-    "general-trajectory",
-    "accelerating-trajectory",
-    "accelerating-double-lane-change",
-    "step",
-    "lane-change",
-    "double-lane-change",
-    "sine",
-    "random-drive",
-]
+    "triple-lane-change", "general-trajectory", "accelerating-trajectory", "accelerating-double-lane-change", "step",
+    "lane-change", "double-lane-change", "sine", "random-drive",
+]  # fmt: skip
 
 
 def scenario(**changes: object) -> Scenario:
@@ -264,25 +257,22 @@ GOOD_ARRAYS: dict[Any, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("make", "changes", "message"),
-    [
-        (Signals, {"period": 0.0}, "period"),
-        (Signals, {"t": [0.0, 0.1, 0.3]}, r"t\[2\] = 0.3 s; it must be 2 periods"),
-        (Signals, {"y_ref": [0.0, math.inf, 0.0]}, "y_ref is inf at t = 0.1 s: must be finite"),
-        (Signals, {"y_ref": [0.0, 0.0]}, r"y_ref has shape \(2,\); with 3 instants it must be \(3,\)"),
-        (Signals, {"speed": [0.0, 1.0, -1.0]}, "speed is -1.0 at t = 0.2 s"),
-        (Signals, {"friction": np.ones((3, 2))}, r"friction has shape \(3, 2\)"),
-        (Signals, {"friction": np.full((3, 4), 80.0)}, "a coefficient such as 0.8"),
-        (Scenario.from_arrays, {"t": [0.0, 1.0, 1.0]}, r"t\[2\] = 1.0 s does not come after"),
-        (Scenario.from_arrays, {"t": [0.0, math.nan, 1.0]}, r"t\[1\] is not finite"),
-        (Scenario.from_arrays, {"t": 3.0}, "at least two times"),
-        (Scenario.from_arrays, {"y_ref": [0.0, math.nan, 1.0]}, r"y_ref\[1\] is not finite"),
-        (Scenario.from_arrays, {"y_ref": [0.0, 1.0]}, r"y_ref has shape \(2,\); with 3 times it must be \(3,\)"),
-        (Scenario.from_arrays, {"friction": np.ones((3, 3))}, r"must be \(3,\), \(3, 2\), \(3, 4\)"),
-        (Scenario.from_arrays, {"speed": [1.0, -1.0, 1.0]}, "speed is -"),
-    ],
-)
+@pytest.mark.parametrize(("make", "changes", "message"), [
+    (Signals, {"period": 0.0}, "period"),
+    (Signals, {"t": [0.0, 0.1, 0.3]}, r"t\[2\] = 0.3 s; it must be 2 periods"),
+    (Signals, {"y_ref": [0.0, math.inf, 0.0]}, "y_ref is inf at t = 0.1 s: must be finite"),
+    (Signals, {"y_ref": [0.0, 0.0]}, r"y_ref has shape \(2,\); with 3 instants it must be \(3,\)"),
+    (Signals, {"speed": [0.0, 1.0, -1.0]}, "speed is -1.0 at t = 0.2 s"),
+    (Signals, {"friction": np.ones((3, 2))}, r"friction has shape \(3, 2\)"),
+    (Signals, {"friction": np.full((3, 4), 80.0)}, "a coefficient such as 0.8"),
+    (Scenario.from_arrays, {"t": [0.0, 1.0, 1.0]}, r"t\[2\] = 1.0 s does not come after"),
+    (Scenario.from_arrays, {"t": [0.0, math.nan, 1.0]}, r"t\[1\] is not finite"),
+    (Scenario.from_arrays, {"t": 3.0}, "at least two times"),
+    (Scenario.from_arrays, {"y_ref": [0.0, math.nan, 1.0]}, r"y_ref\[1\] is not finite"),
+    (Scenario.from_arrays, {"y_ref": [0.0, 1.0]}, r"y_ref has shape \(2,\); with 3 times it must be \(3,\)"),
+    (Scenario.from_arrays, {"friction": np.ones((3, 3))}, r"must be \(3,\), \(3, 2\), \(3, 4\)"),
+    (Scenario.from_arrays, {"speed": [1.0, -1.0, 1.0]}, "speed is -"),
+])  # fmt: skip
 def test_arrays_that_no_simulation_can_use_are_refused(make: Any, changes: dict[str, object], message: str) -> None:
     make(**GOOD_ARRAYS[make])
     with pytest.raises(InvalidInput, match=message):
@@ -325,12 +315,9 @@ RICH = scenario(
     reference=LaneChange(amplitude=2.0, start=1.0, duration=3.0) + 1.0,
     friction=[0.9, 0.8, 0.7, Knots(points=((1.0, 0.6), (3.0, 0.5)))],
     friction_patches=[Patch(start=1.0, end=2.0, friction=0.3, wheels="front-left")],
-    wind=Wind(x=as_shape(5.0), y=Sine(amplitude=1.0, frequency=0.1)),
-    wind_gain=1.2,
-    start_y=0.5,
-    start_heading=0.1,
+    wind=Wind(x=as_shape(5.0), y=Sine(amplitude=1.0, frequency=0.1)), wind_gain=1.2, start_y=0.5, start_heading=0.1,
     windows={"short": 3.0},
-)
+)  # fmt: skip
 
 
 def test_mirroring_exchanges_left_and_right_and_twice_is_identity() -> None:
@@ -359,14 +346,9 @@ def test_another_duration_leaves_the_signals_alone() -> None:
 def test_arrays_become_signals_that_pass_through_them() -> None:
     t = np.array([5.0, 6.0, 8.0, 9.0])
     test = Scenario.from_arrays(
-        t,
-        y_ref=[0.0, 1.0, 1.0, 4.0],
-        speed=10.0,
-        friction=np.array([[0.9, 0.5]] * 4),
-        wind=np.array([[1.0, 2.0]] * 4),
-        reference_method="cubic",
-        start_y=0.0,
-    )
+        t, y_ref=[0.0, 1.0, 1.0, 4.0], speed=10.0, friction=np.array([[0.9, 0.5]] * 4),
+        wind=np.array([[1.0, 2.0]] * 4), reference_method="cubic", start_y=0.0,
+    )  # fmt: skip
     assert test.duration == 4.0
     assert_array_equal(test.reference_at(t - 5.0), [0.0, 1.0, 1.0, 4.0])
     assert_array_equal(test.friction_at(1.5), [0.9, 0.5, 0.9, 0.5])
@@ -434,37 +416,34 @@ PATCH = "0.8\nfriction_patches = [{{ start = 2.0, end = {}, friction = 0.3{} }}]
 GOOD_FILES = {"drive.csv": CSV, "road.toml": "duration = 5.0\nreference = 1.0\nspeed = 10.0\nfriction = 0.8\n"}
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new", "message"),
-    [
-        ("drive.csv", "2,1,12", "0.5,1,12", r"line 4: t = 0.5 does not come after t = 0.5 in line 3; sort the rows"),
-        ("drive.csv", "0.5,1,11", "0.5,nan,11", r"line 3: y_ref = 'nan' is not a finite number; correct it"),
-        ("drive.csv", "0.5,1,11", "0.5,fast,11", r"line 3: y_ref = 'fast'"),
-        ("drive.csv", "0.5,1,11", "0.5,11", r"line 3: 4 cells, but the header has 5 columns"),
-        ("drive.csv", "1,11", "1,-11", r"line 3: speed = '-11' must be >= 0"),
-        ("drive.csv", "0.8", "80", r"line 2: friction = '80' must be a coefficient such as 0.8"),
-        ("drive.csv", "y_ref", "yref", r"line 1: unknown column 'yref'. Did you mean 'y_ref'\?"),
-        ("drive.csv", "friction,", "friction_left,", r"line 1: column 'friction_right' is missing"),
-        ("drive.csv", "speed,friction", "friction_left,friction", r"line 1: the friction is given twice"),
-        ("drive.csv", ",wind_y\n", "\n", r"line 1: column 'wind_y' is missing"),
-        ("drive.csv", ",", ";", r"line 1: the columns are separated by ';'"),
-        ("drive.csv", CSV, "", "empty"),
-        ("drive.csv", CSV.partition("\n")[2], "", "at least two rows"),
-        ("road.toml", "duration = 5.0", "", "duration: missing"),
-        ("road.toml", "duration = 5.0", "duration = 0.0", "duration = 0.0: must be a finite number > 0"),
-        ("road.toml", "10.0", "-10.0", "speed is -10.0 at t = 0 s: must be >= 0"),
-        ("road.toml", "10.0", "'fast'", "speed = 'fast': give a number, or a table"),
-        ("road.toml", "10.0", "{ shape = 'setp', after = 3.0 }", "unknown shape 'setp'. Did you mean 'step'"),
-        ("road.toml", "10.0", "{ after = 3.0 }", "no key 'shape'; give one of 'constant'"),
-        ("road.toml", "10.0", "{ shape = 'step', after = 3.0, tmie = 2.0 }", "tmie: unknown key. Did you mean 'time'"),
-        ("road.toml", "10.0", "{ shape = 'knots', points = [[0, 1], [0, 2]] }", "the times must increase"),
-        ("road.toml", "0.8", "[0.8, 0.8, 0.8]", "one value, .left, right., or"),
-        ("road.toml", "0.8", "0.8\nwind = [1, 2, 3]", "the pair"),
-        ("road.toml", "0.8", PATCH.format(1.0, ""), "must end after its start"),
-        ("road.toml", "0.8", PATCH.format(3.0, ", wheels = 'l'"), "'left'"),
-        ("road.toml", "= 5.0", "5.0", "line 1"),
-    ],
-)
+@pytest.mark.parametrize(("name", "old", "new", "message"), [
+    ("drive.csv", "2,1,12", "0.5,1,12", r"line 4: t = 0.5 does not come after t = 0.5 in line 3; sort the rows"),
+    ("drive.csv", "0.5,1,11", "0.5,nan,11", r"line 3: y_ref = 'nan' is not a finite number; correct it"),
+    ("drive.csv", "0.5,1,11", "0.5,fast,11", r"line 3: y_ref = 'fast'"),
+    ("drive.csv", "0.5,1,11", "0.5,11", r"line 3: 4 cells, but the header has 5 columns"),
+    ("drive.csv", "1,11", "1,-11", r"line 3: speed = '-11' must be >= 0"),
+    ("drive.csv", "0.8", "80", r"line 2: friction = '80' must be a coefficient such as 0.8"),
+    ("drive.csv", "y_ref", "yref", r"line 1: unknown column 'yref'. Did you mean 'y_ref'\?"),
+    ("drive.csv", "friction,", "friction_left,", r"line 1: column 'friction_right' is missing"),
+    ("drive.csv", "speed,friction", "friction_left,friction", r"line 1: the friction is given twice"),
+    ("drive.csv", ",wind_y\n", "\n", r"line 1: column 'wind_y' is missing"),
+    ("drive.csv", ",", ";", r"line 1: the columns are separated by ';'"),
+    ("drive.csv", CSV, "", "empty"),
+    ("drive.csv", CSV.partition("\n")[2], "", "at least two rows"),
+    ("road.toml", "duration = 5.0", "", "duration: missing"),
+    ("road.toml", "duration = 5.0", "duration = 0.0", "duration = 0.0: must be a finite number > 0"),
+    ("road.toml", "10.0", "-10.0", "speed is -10.0 at t = 0 s: must be >= 0"),
+    ("road.toml", "10.0", "'fast'", "speed = 'fast': give a number, or a table"),
+    ("road.toml", "10.0", "{ shape = 'setp', after = 3.0 }", "unknown shape 'setp'. Did you mean 'step'"),
+    ("road.toml", "10.0", "{ after = 3.0 }", "no key 'shape'; give one of 'constant'"),
+    ("road.toml", "10.0", "{ shape = 'step', after = 3.0, tmie = 2.0 }", "tmie: unknown key. Did you mean 'time'"),
+    ("road.toml", "10.0", "{ shape = 'knots', points = [[0, 1], [0, 2]] }", "the times must increase"),
+    ("road.toml", "0.8", "[0.8, 0.8, 0.8]", "one value, .left, right., or"),
+    ("road.toml", "0.8", "0.8\nwind = [1, 2, 3]", "the pair"),
+    ("road.toml", "0.8", PATCH.format(1.0, ""), "must end after its start"),
+    ("road.toml", "0.8", PATCH.format(3.0, ", wheels = 'l'"), "'left'"),
+    ("road.toml", "= 5.0", "5.0", "line 1"),
+])  # fmt: skip
 def test_a_bad_file_is_refused_with_its_place_and_remedy(
     tmp_path: Path, name: str, old: str, new: str, message: str
 ) -> None:
@@ -475,27 +454,24 @@ def test_a_bad_file_is_refused_with_its_place_and_remedy(
         load_scenario(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "error", "words"),
-    [
-        ("none.toml", {}, StorageError, "none.toml"),
-        ("none.csv", {}, StorageError, "none.csv"),
-        ("tripel-lane-change", {}, UnknownName, "Did you mean 'triple-lane-change'"),
-        ("sine", {"freqency": 1.0}, UnknownName, "'sine' has no option 'freqency'. Did you mean 'frequency'"),
-        ("triple-lane-change", {"windgain": 1.0}, UnknownName, "Did you mean 'wind_gain'"),
-        ("triple-lane-change", {"window": "ful"}, InvalidInput, "no window 'ful'. Did you mean 'full'"),
-        ("triple-lane-change", {"window": "full", "duration": 3.0}, InvalidInput, "window and duration are both given"),
-        ("triple-lane-change", {"window": 28.0}, InvalidInput, "window"),
-        ("double-lane-change", {"speed": 0.0}, InvalidInput, "one constant speed"),
-        ("double-lane-change", {"speed": {"shape": "constant", "value": 3.0}}, InvalidInput, "speed"),
-        ("lane-change", {"amplitude": "3"}, InvalidInput, "amplitude"),
-        ("lane-change", {"amplitude": math.nan}, InvalidInput, "amplitude"),
-        ("lane-change", {"change_time": -1.0}, InvalidInput, "duration"),
-        ("lane-change", {"friction": 0.0}, InvalidInput, "friction"),
-        ("sine", {"frequency": -1.0}, InvalidInput, "frequency"),
-        ("step", {"mirrored": "no"}, InvalidInput, "mirrored"),
-    ],
-)
+@pytest.mark.parametrize(("name", "options", "error", "words"), [
+    ("none.toml", {}, StorageError, "none.toml"),
+    ("none.csv", {}, StorageError, "none.csv"),
+    ("tripel-lane-change", {}, UnknownName, "Did you mean 'triple-lane-change'"),
+    ("sine", {"freqency": 1.0}, UnknownName, "'sine' has no option 'freqency'. Did you mean 'frequency'"),
+    ("triple-lane-change", {"windgain": 1.0}, UnknownName, "Did you mean 'wind_gain'"),
+    ("triple-lane-change", {"window": "ful"}, InvalidInput, "no window 'ful'. Did you mean 'full'"),
+    ("triple-lane-change", {"window": "full", "duration": 3.0}, InvalidInput, "window and duration are both given"),
+    ("triple-lane-change", {"window": 28.0}, InvalidInput, "window"),
+    ("double-lane-change", {"speed": 0.0}, InvalidInput, "one constant speed"),
+    ("double-lane-change", {"speed": {"shape": "constant", "value": 3.0}}, InvalidInput, "speed"),
+    ("lane-change", {"amplitude": "3"}, InvalidInput, "amplitude"),
+    ("lane-change", {"amplitude": math.nan}, InvalidInput, "amplitude"),
+    ("lane-change", {"change_time": -1.0}, InvalidInput, "duration"),
+    ("lane-change", {"friction": 0.0}, InvalidInput, "friction"),
+    ("sine", {"frequency": -1.0}, InvalidInput, "frequency"),
+    ("step", {"mirrored": "no"}, InvalidInput, "mirrored"),
+])  # fmt: skip
 def test_unknown_names_and_impossible_options_are_refused(
     name: str, options: dict[str, object], error: type[Exception], words: str
 ) -> None:

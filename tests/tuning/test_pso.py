@@ -71,13 +71,11 @@ def spaces(draw):
     pairs = [(i, j) for i, j in itertools.permutations(range(dims), 2) if integer[i] == integer[j] and low[i] <= low[j]]
     ordered = draw(st.sampled_from([None, *pairs]))
     return SearchSpace(
-        names=tuple(names),
-        low=tuple(low),
-        high=tuple(high),
+        names=tuple(names), low=tuple(low), high=tuple(high),
         integers=tuple(name for name, is_whole in zip(names, integer, strict=True) if is_whole),
         ordered=None if ordered is None else (names[ordered[0]], names[ordered[1]]),
         spread=draw(st.floats(1, 4)) if ordered is not None and low[ordered[0]] >= 0 else 1.0,
-    )
+    )  # fmt: skip
 
 
 # -- counted random numbers -------------------------------------------------------------------------------------------
@@ -338,38 +336,35 @@ def decades(low=1.0, integers=()):
     return SearchSpace(names=("a",), low=(low,), high=(10.0,), decades=("a",), integers=integers)
 
 
-@pytest.mark.parametrize(
-    ("make", "changes", "words"),
-    [
-        (SwarmSettings, {"particles": 0}, "particles = 0: must be a whole number >= 1"),
-        (SwarmSettings, {"generations": 1.5}, "generations = 1.5"),
-        (SwarmSettings, {"kind": "modern"}, "must be one of 'improved', 'classic'"),
-        (SwarmSettings, {"lambda2": 0.0}, "lambda2 = 0.0"),
-        (SwarmSettings, {"lambda1": math.nan}, "lambda1 = nan"),
-        (SwarmSettings, {"w_min": 1.2}, "w_min = 1.2 > w_max = 0.99"),
-        (SwarmSettings, {"c1": -1.0}, "c1 = -1.0"),
-        (SwarmSettings, {"steps": (0.0, 0.0)}, "steps"),
-        (SwarmSettings, {"velocity_clamp": 0.0}, "velocity_clamp = 0.0"),
-        (SwarmSettings, {"velocity_clamp": 1.5}, "velocity_clamp = 1.5"),
-        (SwarmSettings, {"particels": 20}, "Did you mean 'particles'"),
-        (TUNING.replace, {"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
-        (TUNING.replace, {"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
-        (TUNING.replace, {"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
-        (TUNING.replace, {"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole"),
-        (TUNING.replace, {"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
-        (TUNING.replace, {"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound"),
-        (TUNING.replace, {"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
-        (TUNING.replace, {"low": (1.0, 1.0, -1e308, 0.001), "high": (55.0, 18.0, 1e308, 0.1)}, "not a finite number"),
-        (TUNING.replace, {"ordered": ("Nc", "Q")}, "both of whole or both of real"),
-        (TUNING.replace, {"ordered": ("Nc", "Nc")}, "give two dimensions"),
-        (TUNING.replace, {"ordered": ("Nc", "N")}, "'N' is not one of the names"),
-        (TUNING.replace, {"ordered": None}, "spread = 2"),
-        (TUNING.replace, {"integers": ("nc",)}, "'nc' is not one of the names"),
-        (TUNING.replace, {"spread": 0.5}, "spread = 0.5"),
-        (decades, {"low": 0.0}, "decades"),
-        (decades, {"integers": ("a",)}, "decades"),
-    ],
-)
+@pytest.mark.parametrize(("make", "changes", "words"), [
+    (SwarmSettings, {"particles": 0}, "particles = 0: must be a whole number >= 1"),
+    (SwarmSettings, {"generations": 1.5}, "generations = 1.5"),
+    (SwarmSettings, {"kind": "modern"}, "must be one of 'improved', 'classic'"),
+    (SwarmSettings, {"lambda2": 0.0}, "lambda2 = 0.0"),
+    (SwarmSettings, {"lambda1": math.nan}, "lambda1 = nan"),
+    (SwarmSettings, {"w_min": 1.2}, "w_min = 1.2 > w_max = 0.99"),
+    (SwarmSettings, {"c1": -1.0}, "c1 = -1.0"),
+    (SwarmSettings, {"steps": (0.0, 0.0)}, "steps"),
+    (SwarmSettings, {"velocity_clamp": 0.0}, "velocity_clamp = 0.0"),
+    (SwarmSettings, {"velocity_clamp": 1.5}, "velocity_clamp = 1.5"),
+    (SwarmSettings, {"particels": 20}, "Did you mean 'particles'"),
+    (TUNING.replace, {"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
+    (TUNING.replace, {"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
+    (TUNING.replace, {"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
+    (TUNING.replace, {"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole"),
+    (TUNING.replace, {"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
+    (TUNING.replace, {"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound"),
+    (TUNING.replace, {"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
+    (TUNING.replace, {"low": (1.0, 1.0, -1e308, 0.001), "high": (55.0, 18.0, 1e308, 0.1)}, "not a finite number"),
+    (TUNING.replace, {"ordered": ("Nc", "Q")}, "both of whole or both of real"),
+    (TUNING.replace, {"ordered": ("Nc", "Nc")}, "give two dimensions"),
+    (TUNING.replace, {"ordered": ("Nc", "N")}, "'N' is not one of the names"),
+    (TUNING.replace, {"ordered": None}, "spread = 2"),
+    (TUNING.replace, {"integers": ("nc",)}, "'nc' is not one of the names"),
+    (TUNING.replace, {"spread": 0.5}, "spread = 0.5"),
+    (decades, {"low": 0.0}, "decades"),
+    (decades, {"integers": ("a",)}, "decades"),
+])  # fmt: skip
 def test_bad_settings_and_spaces_are_refused_with_the_reason(make, changes, words):
     with pytest.raises(InvalidInput) as refusal:
         make(**changes)

@@ -77,16 +77,13 @@ def test_a_domain_that_nothing_holds_is_refused():
         tune(*_believed_too_fast(0.6, 0.2), effort=SMALL, speed=(10.0, 40.0))
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "words"),
-    [
-        (lambda: TuningEffort(unseen_drives=1), InvalidInput, "unseen_drives"),
-        (lambda: tune("paper", speed=(20.0, 5.0)), ValueError, "lowest"),
-        (lambda: tune("paper", seed=-1), InvalidInput, "seed"),
-        (lambda: tune("paper", plant="hovercraft"), UnknownName, "hovercraft"),
-        (lambda: tune("papre"), UnknownName, "no vehicle is named"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "words"), [
+    (lambda: TuningEffort(unseen_drives=1), InvalidInput, "unseen_drives"),
+    (lambda: tune("paper", speed=(20.0, 5.0)), ValueError, "lowest"),
+    (lambda: tune("paper", seed=-1), InvalidInput, "seed"),
+    (lambda: tune("paper", plant="hovercraft"), UnknownName, "hovercraft"),
+    (lambda: tune("papre"), UnknownName, "no vehicle is named"),
+])  # fmt: skip
 def test_nonsense_is_refused(call, error, words):
     with pytest.raises(error, match=words):
         call()

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, real, reals
+from adaptrack.base.checked import Count, Finite, Natural, NotNegative, Positive, checked, real, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import Contract, Registry, compile_function
 from adaptrack.cars.plant import DualTrack, SingleTrack
@@ -180,7 +180,7 @@ def get_estimator(name: str, **options: Any) -> Estimator:
 
 
 @checked
-def check_estimator(estimator: Estimator, model: PredictionModel, speed: float = 15.0, steps: int = 200) -> None:
+def check_estimator(estimator: Estimator, model: PredictionModel, speed: float = 15.0, steps: Count = 200) -> None:
     """Test that an estimator keeps the contract on which the controller relies, with a model that it is meant for.
 
     It fits the model. Driven by measurements that the model itself gives, at rest first, then under a steering command

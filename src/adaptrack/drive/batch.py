@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Hint, checked
+from adaptrack.base.checked import Count, Hint, checked
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import CompiledScheduler, Controller
@@ -83,7 +83,7 @@ def rollout_batch(
     seeds: ArrayLike = 0,
     perception: PerceptionSource = None,
     failure: FailureLimits | None = None,
-    threads: int | None = None,
+    threads: Count | None = None,
 ) -> BatchResult:
     """Simulate many compiled runs in parallel. The result of a run does not depend on other runs or on `threads`.
 

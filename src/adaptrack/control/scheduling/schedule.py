@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Count, NotNegative, Positive, checked, real, reals
+from adaptrack.base.checked import Count, Natural, NotNegative, Positive, checked, real, reals
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
@@ -601,7 +601,8 @@ def _read_content(path: Path) -> Any:
 
 
 # -- the contract ------------------------------------------------------------------------------------------------------
-def check_scheduler(scheduler: Any, samples: int = 200, seed: int = 0) -> None:
+@checked
+def check_scheduler(scheduler: Any, samples: Count = 200, seed: Natural = 0) -> None:
     """Refuse a scheduler that breaks the contract.
 
     It must be callable with `SchedulingVariables` and give a `Tuning` or four finite numbers (Np, Nc, Q, R) with
