@@ -215,7 +215,7 @@ def export_page(
     vehicle: str = options.vehicle_option("midsize-sedan"),
     road: str = option(
         "ROAD",
-        "motorway, country, town, mountain, lap, oval, or a file: .csv of x, y (m), .toml, .xodr, .xml.",
+        f"oval, {roads.ROADS_HELP}",
         "mountain",
     ),
     speed: float | None = options.speed_option(),

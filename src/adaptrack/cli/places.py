@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 BEYOND_DOMAIN = 1.25
 """Factor on the highest speed of a car's domain; faster scenarios cause a warning."""
 
-_ROAD_ENDINGS = (".csv", ".txt", ".toml", ".xml", ".xodr")
-
 
 @dataclass(frozen=True)
 class DrivenPlaces:
@@ -114,6 +112,7 @@ def is_road(name: str) -> bool:
         When a file or name may be both.
     """
     from adaptrack.road.generate import ROAD_KINDS
+    from adaptrack.road.load import ROAD_ENDINGS
 
     ending = Path(name).suffix.lower()
     if ending in (".csv", ".toml") and Path(name).is_file():
@@ -124,14 +123,14 @@ def is_road(name: str) -> bool:
                 "remove one of the two."
             )
         return not marks[0]
-    if ending in _ROAD_ENDINGS:
+    if ending in ROAD_ENDINGS:
         return True
     scenarios = list(at.list_scenarios())
     if name in scenarios and name in ROAD_KINDS:
         raise InvalidInput(f"{name}: is the name of both a scenario and a road; write the one you mean to a file.")
     if name not in scenarios and name not in ROAD_KINDS:
         hint = did_you_mean(name, [*scenarios, *ROAD_KINDS])
-        raise UnknownName(f"no scenario or road is named {name!r}. {hint} A file ends in {', '.join(_ROAD_ENDINGS)}.")
+        raise UnknownName(f"no scenario or road is named {name!r}. {hint} A file ends in {', '.join(ROAD_ENDINGS)}.")
     return name in ROAD_KINDS
 
 

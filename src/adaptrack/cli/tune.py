@@ -66,8 +66,9 @@ def tune(settings: TuneOptions) -> None:
 def _check_options(settings: TuneOptions) -> None:
     """Raise InvalidInput for a road in place of the car, and for options that do not apply."""
     from adaptrack.road import ROAD_KINDS
+    from adaptrack.road.load import ROAD_ENDINGS
 
-    if settings.car in ROAD_KINDS or Path(settings.car).suffix in (".csv", ".xodr", ".xml"):
+    if settings.car in ROAD_KINDS or Path(settings.car).suffix in {*ROAD_ENDINGS} - {".toml"}:
         raise InvalidInput(
             f"tune {settings.car}: is a road; give the car first: tune CAR --road {settings.car} --out FOLDER."
         )

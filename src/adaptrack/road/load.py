@@ -25,6 +25,8 @@ _READERS: dict[str, Callable[..., Road]] = {
     ".xml": read_commonroad,
     ".xodr": read_opendrive,
 }
+ROAD_ENDINGS = tuple(_READERS)
+"""Endings of files that hold roads; `cli.road.ROADS_HELP` explains them."""
 
 
 @checked
@@ -54,7 +56,7 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     ending = os.path.splitext(text)[1].lower()
     if ending not in _READERS and text not in ROAD_KINDS:
         suggestion = did_you_mean(text, ROAD_KINDS)
-        raise UnknownName(f"no road is named {text!r}. {suggestion} A file ends in {', '.join(_READERS)}.")
+        raise UnknownName(f"no road is named {text!r}. {suggestion} A file ends in {', '.join(ROAD_ENDINGS)}.")
     read: Callable[..., Road] = _READERS.get(ending, generate_road)
     for name in options:
         _check_option(text, name, read)
