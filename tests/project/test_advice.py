@@ -17,7 +17,18 @@ from adaptrack.cli.app import app
 SOURCE = Path(adaptrack.__file__).parent
 PUBLIC = {name: getattr(importlib.import_module(module), name) for module, name in described()}
 MEMBERS = {member for subject in PUBLIC.values() if inspect.isclass(subject) for member in dir(subject)}
-NOTATION = {"cond", "d", "f", "y_ref", "var", "UINT64_C", "adaptrack_parts_step"}
+NOTATION = {
+    "cond",
+    "d",
+    "f",
+    "y_ref",
+    "var",
+    "UINT64_C",
+    "adaptrack_parts_step",
+    "sizeof",
+    "adaptrack_connect",
+    "adaptrack_renew",
+}
 """Functions of mathematics, CSS and C, and the laws of a user."""
 PROGRAM = typer.main.get_command(app)
 

@@ -12,7 +12,7 @@ import adaptrack
 
 SOURCE = Path(adaptrack.__file__).parent
 MATH = """
-ceil copysign degrees floor frexp inf isclose isfinite isinf isnan nan pi prod radians remainder sqrt tau
+ceil copysign degrees floor frexp inf isclose isfinite isinf isnan nan nextafter pi prod radians remainder sqrt tau
 """
 """Of `math`: exact, or rounded once."""
 SHAPES = """
@@ -23,7 +23,7 @@ errstate eye finfo flatnonzero float32 float64 floating frombuffer full full_lik
 inf insert int64 int8 integer intp iscomplexobj isfinite isin isinf isnan isnat isneginf ix_ less lexsort
 linalg.LinAlgError ma.MaskedArray ma.getmaskarray ma.masked_invalid max maximum maximum.accumulate
 maximum.reduceat meshgrid min minimum minimum.accumulate moveaxis nan nan_to_num nanmax nanmin ndarray ndim
-ndindex newaxis nonzero object_ ones ones_like pad pi ptp ravel_multi_index real record repeat roll searchsorted
+ndindex newaxis nonzero object_ ones ones_like pad pi ptp ravel ravel_multi_index real record repeat roll searchsorted
 setdiff1d shape sign size sort split stack swapaxes take_along_axis tile tril uint64 uint8 union1d unique
 unravel_index vstack where zeros zeros_like
 """
