@@ -9,6 +9,7 @@ import zipfile
 import zlib
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -522,9 +523,11 @@ def test_the_exports_refuse_an_unknown_platform_and_a_missing_compiler(folder, m
 
 
 @pytest.mark.needs("gcc")
-def test_a_compiler_of_the_user_makes_the_binary_from_the_sources_of_the_fmu(folder, tmp_path):
+def test_a_compiler_of_the_user_makes_the_binary_as_the_fmu_describes(folder, tmp_path):
     zipfile.ZipFile(car(folder)).extractall(tmp_path)
-    sources = map(str, (tmp_path / "sources").glob("*.c"))
+    (described,) = ET.parse(tmp_path / "sources/buildDescription.xml").iter("SourceFileSet")
+    sources = [str(tmp_path / "sources" / file.get("name")) for file in described]
+    assert described.get("compilerOptions").split() == list(EXACT_OPTIONS)
     options = ["-std=c99", "-O1", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Werror"]
     run = subprocess.run([find_program("gcc"), *options, "-shared", "-fPIC", *sources, "-o", str(tmp_path / "car.so")],
                          capture_output=True, text=True)  # fmt: skip

@@ -26,6 +26,7 @@ from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
 from adaptrack.export.image import Image, image_of
+from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.units import (
     CONSTANT_VALUE,
     INPUT_VALUE,
@@ -116,6 +117,7 @@ def write_fmu(
         "resources/constants.bin": content,
         **dict(_binaries(name, version, platforms)),
         **{f"sources/{source}": text.encode() for source, text in fmu_build.sources().items()},
+        **({"sources/buildDescription.xml": build_description(name)} if version == "3.0" else {}),
         "documentation/index.html": _page(unit).encode(),
         "documentation/licenses/license.txt": fmu_build.LICENSE.read_bytes(),
     }
@@ -164,7 +166,9 @@ def description(unit: Unit, token: str, version: str) -> bytes:
              states: "true", serialised: "true"}  # fmt: skip
     if not second:
         names["fixedInternalStepSize"] = repr(unit.period)
-    ET.SubElement(root, "CoSimulation", names)
+    interface = ET.SubElement(root, "CoSimulation", names)
+    if second:
+        _source_files(ET.SubElement(interface, "SourceFiles"), "File")
     _units(ET.SubElement(root, "UnitDefinitions"), unit)
     ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", {"name": "logStatusError"})
     ET.SubElement(root, "DefaultExperiment", {"startTime": "0.0", "stopTime": "10.0", "stepSize": repr(unit.period)})
@@ -184,6 +188,22 @@ def description(unit: Unit, token: str, version: str) -> bytes:
                 ET.SubElement(structure, kind, {"valueReference": str(i), **attributes})
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def build_description(name: str) -> bytes:
+    """``buildDescription.xml`` of version 3.0: the sources of a unit, and the options that keep its bits."""
+    root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
+    options = {"language": "C99", "compilerOptions": " ".join(EXACT_OPTIONS)}
+    _source_files(ET.SubElement(configuration, "SourceFileSet", options), "SourceFile")
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def _source_files(parent: ET.Element, kind: str) -> None:
+    for source in sorted(fmu_build.sources()):
+        if source.endswith(".c"):
+            ET.SubElement(parent, kind, {"name": source})
 
 
 def _units(definitions: ET.Element, unit: Unit) -> None:
