@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from adaptrack.core.build.c_files import SOFT_KERNELS, c_files, texts
+from adaptrack.core.build.compile import CLANG_EXACT_OPTIONS
 from adaptrack.core.kernel import EXPORTED
 
-EXACT_OPTIONS = (
-    "-ffp-contract=off", "-fno-tree-slp-vectorize", "-fno-strict-aliasing", "-fwrapv", "-fno-math-errno",
-    "-fno-trapping-math",
-)  # fmt: skip
-"""Each operation rounds once, in the order in which it is written. GCC up to 12 fuses pairs of operations unless the
-second option is given. Records lie in arrays of numbers, and whole numbers wrap. The last two are for speed."""
+EXACT_OPTIONS = (*CLANG_EXACT_OPTIONS, "-fno-tree-slp-vectorize")
+"""Options with which every compiler gives the same bits: GCC up to 12 fuses pairs of operations without the last one.
+"""
 
 
 def kernel_sources(names: Iterable[str]) -> dict[str, str]:

@@ -21,11 +21,14 @@ from pathlib import Path
 from .c_files import HEAD_FILE, CFile, records, texts
 from .c_types import PREFIX
 
+CLANG_EXACT_OPTIONS = (
+    "-ffp-contract=off", "-fno-strict-aliasing", "-fwrapv", "-fno-math-errno", "-fno-trapping-math",
+)  # fmt: skip
+"""Each operation rounds once, in the order in which it is written. Records lie in arrays of numbers, and whole numbers
+wrap. The last two are for speed."""
 OPTIONS = (
-    "-std=c99", "-O3", "-g0", "-DADAPTRACK_SHARED",
-    "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",  # each operation rounds once; nobody asks for flags
+    "-std=c99", "-O3", "-g0", "-DADAPTRACK_SHARED", *CLANG_EXACT_OPTIONS,
     "-fno-builtin", "-ffreestanding",  # no function of C's library is called
-    "-fno-strict-aliasing", "-fwrapv",  # records lie in vectors of numbers; whole numbers wrap
     "-fno-sanitize=undefined", "-fno-stack-protector", "-fvisibility=hidden",
     "-Wall", "-Wextra", "-Werror", "-Wno-psabi", "-Wno-unused-parameter", "-Wno-unused-variable",
     "-Wno-unused-but-set-variable", "-Wno-bitwise-instead-of-logical", "-Wno-tautological-compare",
