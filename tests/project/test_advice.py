@@ -24,12 +24,11 @@ NOTATION = {
     "y_ref",
     "var",
     "UINT64_C",
-    "adaptrack_parts_step",
     "sizeof",
     "adaptrack_connect",
     "adaptrack_renew",
 }
-"""Functions of mathematics, CSS and C, and the laws of a user."""
+"""Functions of mathematics, CSS and C, and those of an export."""
 PROGRAM = typer.main.get_command(app)
 
 

@@ -37,7 +37,7 @@ WINDOWS_SOURCES = (DLL_FILE, HERE / "fmu_c" / "windows.c")
 LICENSE = HERE / "c" / "LICENSE"
 UNIT_MEMBERS = (*TRACKERS, *PLANTS)
 """Kernels whose addresses a unit's record may hold."""
-OPTIONS = (
+BINARY_OPTIONS = (
     "-std=c99", "-O3", "-g0", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wconversion", "-fno-stack-protector",
     "-fvisibility=hidden", "-ffunction-sections", "-fdata-sections",
 )  # fmt: skip
@@ -137,7 +137,7 @@ def binary(name: str) -> bytes:
     if "windows" in chosen.target:
         texts |= {source.name: source.read_text(encoding="utf-8") for source in WINDOWS_SOURCES}
     version = importlib.metadata.version("ziglang")
-    parts = repr((version, chosen, OPTIONS, sorted(texts.items())))
+    parts = repr((version, chosen, BINARY_OPTIONS, sorted(texts.items())))
     path = cache_path() / f"fmu-{name}-{hashlib.sha256(parts.encode()).hexdigest()[:32]}.{chosen.ending}"
     if not path.is_file():
         content = _compiled(chosen, texts)
@@ -153,7 +153,7 @@ def _compiled(chosen: Platform, texts: dict[str, str]) -> bytes:
         for name, text in texts.items():
             Path(folder, name).write_text(text, encoding="utf-8")
         names = sorted((name for name in texts if name.endswith(".c")), key=lambda name: -len(texts[name]))
-        compiled = [*command, *chosen.options, *OPTIONS]
+        compiled = [*command, *chosen.options, *BINARY_OPTIONS]
         list(pool.map(lambda name: _run([*compiled, "-c", name, "-o", f"{name}.o"], folder), names))
         objects = [f"{name}.o" for name in sorted(names)]
         _run([*command, "-shared", "-s", *objects, *chosen.linked, "-o", "made"], folder)

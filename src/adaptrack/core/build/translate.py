@@ -46,7 +46,7 @@ from .c_types import (
 )
 from .scopes import as_load, is_full_slice, is_stored, leaves_loop, names_in, source_of
 from .values import (
-    Level,
+    Binding,
     NamedNumber,
     NumberTable,
     Operand,
@@ -217,7 +217,7 @@ class Translation:
         c = name.replace(".", "_").strip("_")
         if re.fullmatch(r"(t|k|zeros)\d+", c) or (c != name and self._is_taken(c)):
             c += "_"  # the function has a variable of this name
-        return replace(number, text=self.instance.need(NamedNumber(c, number.kind, number.text)), level=Level.ATOM)
+        return replace(number, text=self.instance.need(NamedNumber(c, number.kind, number.text)), level=Binding.ATOM)
 
     def widen(self, variable: CVariable, kind: Any) -> Any:
         """The type of a variable that also holds a value of this type."""
@@ -305,7 +305,7 @@ class Translation:
         values = self.values(parts)
         kind = TupleOf(tuple(value.kind for value in values))
         self.instance.kinds[kind] = None
-        return formula(f"({kind.c}){{{', '.join(value.text for value in values)}}}", kind, Level.ATOM, *values)
+        return formula(f"({kind.c}){{{', '.join(value.text for value in values)}}}", kind, Binding.ATOM, *values)
 
     def make_record(self, kind: Any, fields: Iterable[Operand]) -> Value:
         """A record; its fields have the types that it states."""
@@ -319,7 +319,7 @@ class Translation:
                 types = f"{describe(stated)}, not {describe(value.kind)}"
                 raise self.error(f"{kind.__name__}.{name} is {types}: state its type in the record.")
             texts.append(f".{c_identifier(name)} = {self.convert(value, stated).text}")
-        return formula(f"({record.c}){{{', '.join(texts)}}}", record, Level.ATOM, *values)
+        return formula(f"({record.c}){{{', '.join(texts)}}}", record, Binding.ATOM, *values)
 
     def convert(self, value: Value, kind: Any) -> Value:
         """A value as one of a type."""
@@ -327,7 +327,7 @@ class Translation:
             return value
         if value.kind in NUMBER_KINDS and kind in NUMBER_KINDS:
             if kind == BOOL:
-                return formula(f"{value.at(Level.ORDER)} != 0", BOOL, Level.EQUAL, value)
+                return formula(f"{value.at(Binding.ORDER)} != 0", BOOL, Binding.EQUAL, value)
             if re.fullmatch(r"-?\d+", value.text) and kind == DOUBLE:
                 return replace(value, text=f"{value.text}.0", kind=DOUBLE)
             if value.kind == BOOL and kind == INT64:
@@ -338,7 +338,7 @@ class Translation:
         if isinstance(kind, PlaceOf) and value.kind == kind.record:
             if not (value.text.startswith("(struct") or re.fullmatch(r"\w+", value.text)):
                 value = self.temporary(value)
-            return formula(f"&{value.text}", kind, Level.UNARY, value)
+            return formula(f"&{value.text}", kind, Binding.UNARY, value)
         if isinstance(value.kind, TupleOf) and isinstance(kind, TupleOf):
             value = self.hold(value)
             parts = [self.convert(Value(f"{value.text}.v{i}", part), target)
@@ -372,7 +372,7 @@ class Translation:
         if isinstance(node.value, ast.Constant):
             return
         value = self.value(self.expression(node.value))
-        self.emit(f"{value.text};" if value.kind == NOTHING else f"(void){value.at(Level.UNARY)};")
+        self.emit(f"{value.text};" if value.kind == NOTHING else f"(void){value.at(Binding.UNARY)};")
 
     def write_Return(self, node: ast.Return) -> None:
         """The result of the function; an exported kernel writes several numbers behind its last argument."""
@@ -428,7 +428,7 @@ class Translation:
         self.emit("for (;;) {" if computed else f"while ({test.text}) {{")
         self.lines += computed
         if computed:
-            self.emit(f"    if (!{test.at(Level.UNARY)}) break;")
+            self.emit(f"    if (!{test.at(Binding.UNARY)}) break;")
         self.lines += self.inner_lines(node.body)
         self.emit("}")
 
@@ -491,7 +491,7 @@ class Translation:
             counter = self.new_variable(name, INT64, (id(node), name), node.body).c
         else:
             counter = self._fresh("k")
-        head = f"for (int64_t {counter} = {first.text}; {counter} {sign} {end.at(Level.SUM)}; {counter}{change}) "
+        head = f"for (int64_t {counter} = {first.text}; {counter} {sign} {end.at(Binding.SUM)}; {counter}{change}) "
         self.write_round(head, node, None if is_counter else Value(counter, INT64))
 
     def write_Assign(self, node: ast.Assign) -> None:
@@ -561,7 +561,7 @@ class Translation:
             raise self.error(f"{describe(vector.kind)} has no parts: take its elements by their places.")
         vector = self.hold(vector)
         return [
-            Value(f"{vector.size(0)} == {count} ? {vector.data}[{i}] : NOT_A_NUMBER", DOUBLE, Level.CHOICE)
+            Value(f"{vector.size(0)} == {count} ? {vector.data}[{i}] : NOT_A_NUMBER", DOUBLE, Binding.CHOICE)
             for i in range(count)
         ]
 
@@ -669,14 +669,14 @@ class Translation:
         """A sign or a negation."""
         if isinstance(node.op, ast.Not):
             test = self.condition(node.operand)
-            return formula(f"!{test.at(Level.UNARY)}", BOOL, Level.UNARY, test)
+            return formula(f"!{test.at(Binding.UNARY)}", BOOL, Binding.UNARY, test)
         result = self.expression(node.operand)
         if isinstance(result, StaticValue):
             return StaticValue(_OPERATORS[type(node.op)](result.value))
         if not isinstance(node.op, ast.USub) or result.kind not in (INT64, DOUBLE):
             raise self.error(f"no such sign of {describe(result.kind)}.", node)
-        text = f"({result.text})" if result.text.startswith("-") else result.at(Level.UNARY)
-        return formula(f"-{text}", result.kind, Level.UNARY, result)
+        text = f"({result.text})" if result.text.startswith("-") else result.at(Binding.UNARY)
+        return formula(f"-{text}", result.kind, Binding.UNARY, result)
 
     def evaluate_BinOp(self, node: ast.BinOp) -> Operand:
         """The result of an operator of arithmetic."""
@@ -728,15 +728,15 @@ class Translation:
     @staticmethod
     def _binary_of(operation: type[ast.operator], a: Value, b: Value, kind: Any) -> Value:
         sign, level = _SIGNS[operation]
-        if level in (Level.BIT, Level.SHIFTED):  # compilers ask for parentheses
-            return formula(f"{a.at(Level.UNARY)} {sign} {b.at(Level.UNARY)}", kind, level, a, b)
+        if level in (Binding.BIT, Binding.SHIFTED):  # compilers ask for parentheses
+            return formula(f"{a.at(Binding.UNARY)} {sign} {b.at(Binding.UNARY)}", kind, level, a, b)
         return formula(f"{a.at(level)} {sign} {b.at(level - 1)}", kind, level, a, b)
 
     def _power(self, base: Value, exponent: Operand) -> Value:
         if not (isinstance(exponent, StaticValue) and exponent.value == 2):
             raise self.error("a power of unknown numbers is a square at most: use `maths.exponential.power`.")
         base = self.hold(base)
-        return Value(f"{base.text} * {base.text}", base.kind, Level.PRODUCT)
+        return Value(f"{base.text} * {base.text}", base.kind, Binding.PRODUCT)
 
     def evaluate_Compare(self, node: ast.Compare) -> Operand:
         """Comparisons, in a chain too."""
@@ -751,14 +751,14 @@ class Translation:
             a, b = self.values(results[i : i + 2])
             if join_kinds(a.kind, b.kind) not in NUMBER_KINDS and a.kind != BITS:
                 raise self.error(f"no comparison of {describe(a.kind)} and {describe(b.kind)}.", node)
-            level = Level.EQUAL if isinstance(op, ast.Eq | ast.NotEq) else Level.ORDER
+            level = Binding.EQUAL if isinstance(op, ast.Eq | ast.NotEq) else Binding.ORDER
             if DOUBLE in (a.kind, b.kind):
                 a, b = self.convert(a, DOUBLE), self.convert(b, DOUBLE)
-            text = f"{a.at(Level.SUM)} {_SYMBOLS[type(op)]} {b.at(Level.SUM)}"
+            text = f"{a.at(Binding.SUM)} {_SYMBOLS[type(op)]} {b.at(Binding.SUM)}"
             tests.append(formula(text, BOOL, level, a, b))
         if len(tests) == 1:
             return tests[0]
-        return formula(" && ".join(test.text for test in tests), BOOL, Level.AND, *tests)
+        return formula(" && ".join(test.text for test in tests), BOOL, Binding.AND, *tests)
 
     def _is_in(self, item: Operand, among: Operand, is_negated: bool) -> Value:
         if not isinstance(among, StaticValue):
@@ -766,15 +766,15 @@ class Translation:
         value = self.hold(self.value(item))
         joint, sign = (" && ", "!=") if is_negated else (" || ", "==")
         text = joint.join(f"{value.text} {sign} {literal(element).text}" for element in among.value)
-        return Value(text, BOOL, Level.AND if is_negated else Level.OR)
+        return Value(text, BOOL, Binding.AND if is_negated else Binding.OR)
 
     def evaluate_BoolOp(self, node: ast.BoolOp) -> Operand:
         """``and``, ``or``: what is behind the first may not be evaluated."""
         tests = [self.condition(node.values[0])]
         with self.conditional():
             tests += [self.condition(operand) for operand in node.values[1:]]
-        level, joint = (Level.AND, " && ") if isinstance(node.op, ast.And) else (Level.OR, " || ")
-        text = joint.join(test.at(Level.EQUAL) for test in tests)
+        level, joint = (Binding.AND, " && ") if isinstance(node.op, ast.And) else (Binding.OR, " || ")
+        text = joint.join(test.at(Binding.EQUAL) for test in tests)
         return formula(text, BOOL, level, *tests)
 
     def condition(self, node: ast.expr) -> Value:
@@ -793,8 +793,8 @@ class Translation:
             if kind is None:
                 raise self.error(f"{describe(a.kind)} or {describe(b.kind)}: both must have one type.", node)
             a, b = self.convert(a, kind), self.convert(b, kind)
-        text = " : ".join(value.at(Level.OR) for value in (a, b))
-        return formula(f"{test.at(Level.OR)} ? {text}", kind, Level.CHOICE, test, a, b)
+        text = " : ".join(value.at(Binding.OR) for value in (a, b))
+        return formula(f"{test.at(Binding.OR)} ? {text}", kind, Binding.CHOICE, test, a, b)
 
     def evaluate_Attribute(self, node: ast.Attribute) -> Operand:
         """A field of a record, a size of an array, a name of a module."""
@@ -807,7 +807,7 @@ class Translation:
             owner = self.hold(owner)
             if node.attr == "size":
                 sizes = [owner.size(i) for i in range(kind.ndim)]
-                return Value(" * ".join(sizes), INT64, Level.PRODUCT if len(sizes) > 1 else Level.ATOM)
+                return Value(" * ".join(sizes), INT64, Binding.PRODUCT if len(sizes) > 1 else Binding.ATOM)
             if node.attr == "shape":
                 return StaticValue(tuple(Value(owner.size(i), INT64) for i in range(kind.ndim)))
         record = kind.record if isinstance(kind, PlaceOf) else kind
@@ -821,9 +821,9 @@ class Translation:
         record = owner.kind.record if is_place else owner.kind
         kind = record.fields[name]
         if is_place and not owner.text.startswith("&"):
-            text = f"{owner.at(Level.ATOM)}->{c_identifier(name)}"
+            text = f"{owner.at(Binding.ATOM)}->{c_identifier(name)}"
         else:
-            text = f"{(loaded(owner) if is_place else owner).at(Level.ATOM)}.{c_identifier(name)}"
+            text = f"{(loaded(owner) if is_place else owner).at(Binding.ATOM)}.{c_identifier(name)}"
         if record.is_embedded(name):
             if not is_place:
                 raise self.error(f"{name} holds numbers in a record that is a value: pass the record by its place.")
@@ -897,7 +897,7 @@ class Translation:
             raise self.error(f"an index is a whole number, not {describe(index.kind)}: use `maths.bits.whole`.")
         size = array.size(dimension)
         if re.fullmatch(r"-\d+", index.text):
-            index = Value(f"{size} - {index.text[1:]}", INT64, Level.SUM)
+            index = Value(f"{size} - {index.text[1:]}", INT64, Binding.SUM)
         if self.program.checks_indices:
             return Value(f"checked_index({index.text}, {size})", INT64)
         return index
@@ -908,14 +908,14 @@ class Translation:
         kind, place = array.kind, self._at(indices[0], array, 0)
         for dimension, index in enumerate(indices[1:], 1):
             index, size = self._at(index, array, dimension), array.size(dimension)
-            before = Value(f"{place.at(Level.PRODUCT)} * {size}", INT64, Level.PRODUCT)
+            before = Value(f"{place.at(Binding.PRODUCT)} * {size}", INT64, Binding.PRODUCT)
             if place.text == "0":
                 place = index
             elif index.text == "0":
                 place = before
             else:
-                place = Value(f"{before.text} + {index.at(Level.SUM)}", INT64, Level.SUM)
-        text = f"{place.at(Level.PRODUCT)} * {array.text}.stride" if kind.is_strided else place.text
+                place = Value(f"{before.text} + {index.at(Binding.SUM)}", INT64, Binding.SUM)
+        text = f"{place.at(Binding.PRODUCT)} * {array.text}.stride" if kind.is_strided else place.text
         text = f"{array.data}[{text}]"
         if isinstance(kind.of, RecordOf):
             return place_of(text, kind.of)
@@ -989,7 +989,7 @@ class Translation:
         address, *values = self.values(results)
         name = ast.unparse(node.func).rsplit(".", 1)[-1].strip("_").removeprefix("call_")
         kind = self.instance.need(FunctionType(f"{name}_function", function.of))
-        return self._call_function(f"(({kind})(intptr_t){address.at(Level.UNARY)})", function.of, values, True)
+        return self._call_function(f"(({kind})(intptr_t){address.at(Binding.UNARY)})", function.of, values, True)
 
     def _call_function(self, name: str, signature: Signature, values: list[Value], writes: bool) -> Value:
         """A call of a C function: an array is its place and its sizes, several results are written to words."""
@@ -1016,12 +1016,12 @@ class Translation:
         vector = self.hold(vector)
         record = RecordOf(function.of)
         self.instance.kinds[record] = None
-        at = place.at(Level.SUM)
+        at = place.at(Binding.SUM)
         if self.program.checks_indices:
             at = f"checked_span({place.text}, {size_of(function.of)}, {vector.size(0)})"
         text = vector.data + ("" if at == "0" else f" + {at}")
         text = f"({text})" if " " in text else text
-        return Value(f"({record.c} *){text}", PlaceOf(record), Level.UNARY)
+        return Value(f"({record.c} *){text}", PlaceOf(record), Binding.UNARY)
 
     def call_local(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
         """An array of zeros on the stack."""
@@ -1166,10 +1166,10 @@ _OPERATORS: dict[Any, Any] = {
     ast.RShift: operator.rshift, ast.BitAnd: operator.and_, ast.BitOr: operator.or_, ast.BitXor: operator.xor,
     ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Invert: operator.inv,
 }  # fmt: skip
-_SIGNS: dict[Any, tuple[str, Level]] = {
-    ast.Add: ("+", Level.SUM), ast.Sub: ("-", Level.SUM), ast.Mult: ("*", Level.PRODUCT),
-    ast.Div: ("/", Level.PRODUCT), ast.BitAnd: ("&", Level.BIT), ast.BitOr: ("|", Level.BIT),
-    ast.BitXor: ("^", Level.BIT), ast.RShift: (">>", Level.SHIFTED), ast.LShift: ("<<", Level.SHIFTED),
+_SIGNS: dict[Any, tuple[str, Binding]] = {
+    ast.Add: ("+", Binding.SUM), ast.Sub: ("-", Binding.SUM), ast.Mult: ("*", Binding.PRODUCT),
+    ast.Div: ("/", Binding.PRODUCT), ast.BitAnd: ("&", Binding.BIT), ast.BitOr: ("|", Binding.BIT),
+    ast.BitXor: ("^", Binding.BIT), ast.RShift: (">>", Binding.SHIFTED), ast.LShift: ("<<", Binding.SHIFTED),
 }  # fmt: skip
 _SYMBOLS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
@@ -1183,7 +1183,7 @@ class Program:
 
     translation_class = Translation
     functions = FUNCTIONS
-    """What may be called in addition to kernels, and the rule of each."""
+    """Functions that may be called in addition to kernels, and the rule of each."""
 
     def __init__(self, checks_indices: bool = False) -> None:
         self.checks_indices = checks_indices

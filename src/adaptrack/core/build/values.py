@@ -26,7 +26,7 @@ from .c_types import (
 )
 
 
-class Level(IntEnum):
+class Binding(IntEnum):
     """How tightly the outermost operator of an expression binds; what binds less than its place needs parentheses."""
 
     ATOM, UNARY, PRODUCT, SUM, SHIFTED, ORDER, EQUAL, BIT, AND, OR, CHOICE = range(11)
@@ -42,7 +42,7 @@ class Value:
 
     text: str
     kind: Any
-    level: int = Level.ATOM
+    level: int = Binding.ATOM
     writes: bool = False
     embedded: tuple[str, tuple[int, ...]] = ("", ())
 
@@ -103,13 +103,13 @@ def literal(value: Any) -> Value:
         if number >= 2**63:
             return Value(f"UINT64_C({number})", BITS)
         if abs(number) < 2**31:
-            return Value(str(number), INT64, Level.UNARY if number < 0 else Level.ATOM)
+            return Value(str(number), INT64, Binding.UNARY if number < 0 else Binding.ATOM)
         return Value("INT64_MIN" if number == -(2**63) else f"INT64_C({number})", INT64)
     if math.isnan(value):
         return Value("NOT_A_NUMBER", DOUBLE)
     if math.isinf(value):
-        return Value("INFINITE" if value > 0 else "-INFINITE", DOUBLE, Level.ATOM if value > 0 else Level.UNARY)
-    return Value(repr(float(value)), DOUBLE, Level.UNARY if math.copysign(1.0, value) < 0 else Level.ATOM)
+        return Value("INFINITE" if value > 0 else "-INFINITE", DOUBLE, Binding.ATOM if value > 0 else Binding.UNARY)
+    return Value(repr(float(value)), DOUBLE, Binding.UNARY if math.copysign(1.0, value) < 0 else Binding.ATOM)
 
 
 def join_kinds(a: Any, b: Any) -> Any:
@@ -156,20 +156,20 @@ def formula(text: str, kind: Any, level: int, *operands: Value) -> Value:
 
 def place_of(text: str, record: RecordOf) -> Value:
     """The place of the record that a text names."""
-    return Value(f"&{text}", PlaceOf(record), Level.UNARY)
+    return Value(f"&{text}", PlaceOf(record), Binding.UNARY)
 
 
 def loaded(place: Value) -> Value:
     """The record at a place, as a value."""
     record = place.kind.record
     if place.text.startswith("&"):
-        return formula(place.text[1:], record, Level.ATOM, place)
-    return formula(f"*{place.at(Level.UNARY)}", record, Level.UNARY, place)
+        return formula(place.text[1:], record, Binding.ATOM, place)
+    return formula(f"*{place.at(Binding.UNARY)}", record, Binding.UNARY, place)
 
 
 def cast_to(kind: CNumber, value: Value) -> Value:
     """A number as one of a type."""
-    return formula(f"({kind.c}){value.at(Level.UNARY)}", kind, Level.UNARY, value)
+    return formula(f"({kind.c}){value.at(Binding.UNARY)}", kind, Binding.UNARY, value)
 
 
 def is_fixed(value: Value) -> bool:

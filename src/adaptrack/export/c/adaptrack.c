@@ -156,6 +156,7 @@ typedef struct {
 } plan_head;       /* 64 bytes, a cache line */
 typedef char plan_head_has_64_bytes[sizeof(plan_head) == 64 ? 1 : -1];
 static const uint64_t PLAN = 0x6e616c706b726461u; /* "adrkplan" */
+
 static const plan_head *plan_of(const void *plan) {
     const plan_head *head = (const plan_head *)plan;
     return plan && (uintptr_t)plan % 8u == 0 && head->mark == PLAN ? head : 0;
