@@ -164,7 +164,7 @@ def test_the_command_that_road_check_names_keeps_the_options_and_runs(tmp_path, 
     make, settings = NEXT[name]
     words = ["road", "check", str(make(tmp_path)), *settings]
     monkeypatch.setattr("sys.argv", ["adaptrack", *words])
-    line = re.search(r"^Next, .*?: (adaptrack .*)$", run(*words).output, re.MULTILINE)[1]
+    line = re.search(r"^Next: .*?: (adaptrack .*)$", run(*words).output, re.MULTILINE)[1]
     proposed = shlex.split(line)[1:]
     options = [word for word in settings if name[:8] != "too fast" or word not in ("40", "8.6")]
     assert {plain(word) for word in options} <= {plain(word) for word in proposed}

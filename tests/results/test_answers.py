@@ -13,7 +13,7 @@ from tests.project.test_snippets import parse
 
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.car import car_answer
-from adaptrack.cli.next_step import repeat_command_with, replace_option
+from adaptrack.cli.next_step import repeat_command
 from adaptrack.results import words
 
 pytestmark = pytest.mark.compiled
@@ -32,8 +32,8 @@ def lines(run_command):
 
 def step(line):
     """The command of a last line, which must be one of this program."""
-    assert line.startswith("Next, ")
-    name, *words = shlex.split(line.partition(": ")[2])
+    assert line.startswith("Next: ")
+    name, *words = shlex.split(line.split(": ", 2)[2])
     assert name == "adaptrack"
     parse(words)
     return words
@@ -110,8 +110,11 @@ def test_a_car_that_oversteers_says_from_which_speed_it_is_unstable():
 
 
 def test_a_command_line_is_repeated_with_more_words_or_another_value(monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["adaptrack", "drive", "my road.csv", "--speed", "40.0"])
-    command = "adaptrack drive 'my road.csv' --speed"
-    assert repeat_command_with("--learn") == f"{command} 40.0 --learn"
-    assert replace_option("--speed", 28.0) == f"{command} 28.0"
-    assert replace_option("--lateral-acceleration", 2) == f"{command} 40.0 --lateral-acceleration 2"
+    command = ["adaptrack", "drive", "my road.csv", "--speed"]
+    monkeypatch.setattr(sys, "argv", [*command, "40.0"])
+    assert repeat_command(["--learn"]) == [*command, "40.0", "--learn"]
+    assert repeat_command(["--speed", "28.0"]) == [*command, "28.0"]
+    assert repeat_command(["--speed", "28.0", "--learn"]) == [*command, "28.0", "--learn"]
+    assert repeat_command(["--lateral-acceleration", "2"]) == [*command, "40.0", "--lateral-acceleration", "2"]
+    monkeypatch.setattr(sys, "argv", [*command, "40.0", "--learn", "--out", "a"])
+    assert repeat_command(["~--learn", "--out", "b"]) == [*command, "40.0", "--out", "b"]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import choose_step, command, repeat_command_with, say_next
+from adaptrack.cli.next_step import say_next
 from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
@@ -113,12 +113,7 @@ def car(
     if vehicle is None or as_json:
         return
     is_changed = name is None or tir is not None or tyre_table is not None
-    drive = command("drive", "country", "--vehicle", name if out is None else out)
-    say_next(*choose_step(
-        (out is None and is_changed, "to keep the car", repeat_command_with("--out", "my-car.toml")),
-        (vehicle.estimated, "to learn the estimated values while driving", f"{drive} --learn"),
-        (True, "to drive it", drive),
-    ))  # fmt: skip
+    say_next("car", is_unsaved=out is None and is_changed, is_estimated=vehicle.estimated, car=out or name)
 
 
 def _write(

@@ -12,8 +12,8 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
-from adaptrack.cli.next_step import add_command, choose_step, command, option_words, repeat_command_with
-from adaptrack.cli.options import argument, flag, json_flag, option, option_group
+from adaptrack.cli.next_step import add_command
+from adaptrack.cli.options import argument, flag, json_flag, option, option_group, option_words
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -80,17 +80,13 @@ def certify(
         _print_feasible(plant, mpc, loop, as_json)
         return
     certificate = _certificate(schedule, plant, mpc, loop, out)
-    schedule_words = () if scheduler is None else ("--scheduler", scheduler)
-    car_words, controller_words = option_words(loop.car), option_words(loop, "controller")
-    drive = ("drive", "general-trajectory", *car_words, "--profile", loop.profile, *schedule_words, *controller_words)
-    stable = command("certify", "--feasible", *option_words(loop), *(["--json"] if as_json else []))
-    next_step = choose_step(
-        (not certificate.passed, "to find the speeds and frictions with a stable tuning", stable),
-        (not loop.mismatch, "to certify cars that differ from their model", repeat_command_with("--mismatch")),
-        (out is None, "to see the margins on a page", repeat_command_with("--out", "certificate")),
-        (True, "to drive it", command(*drive)),
-    )
-    show.write_and_say(add_command(certificate_result(certificate), next_step), out, as_json)
+    result = add_command(
+        certificate_result(certificate), "certify", is_unstable=not certificate.passed,
+        has_one_car=not loop.mismatch, has_no_page=out is None, loop=option_words(loop), car=option_words(loop.car),
+        profile=loop.profile, schedule=None if scheduler is None else ["--scheduler", scheduler],
+        controller=option_words(loop, "controller"),
+    )  # fmt: skip
+    show.write_and_say(result, out, as_json)
     if not certificate.passed:
         _print_worst_point(certificate)
         raise typer.Exit(UNSTABLE)

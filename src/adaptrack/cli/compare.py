@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import note_progress, options, show
-from adaptrack.cli.next_step import add_command, choose_step, command, drive_words, option_words
-from adaptrack.cli.options import argument, json_flag, option, option_group
+from adaptrack.cli.next_step import add_command, drive_words
+from adaptrack.cli.options import argument, json_flag, option, option_group, option_words
 from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     make_result = compare_drivers_result if task.drivers else compare_result
-    return add_command(make_result(compared), _next_step(settings, compared))
+    return add_command(make_result(compared), "compare", **_facts(settings, compared))
 
 
 def _load_task(settings: CompareOptions) -> ComparisonConfig:
@@ -117,25 +117,22 @@ def _load_task(settings: CompareOptions) -> ComparisonConfig:
     return load_comparison(name, **changes)
 
 
-def _next_step(settings: CompareOptions, compared: Compared) -> tuple[str, str]:
-    """Suggest to drive or tune the best controller of the last profile on the first road with the first car."""
+def _facts(settings: CompareOptions, compared: Compared) -> dict[str, Any]:
+    """Return the facts for the next command: first car and road, last profile and its best controller."""
     from adaptrack.comparison.table import standing_rows
 
     task, car, plant = compared.task, compared.task.cars[0], ""
     if re.search(r"/[\w-]+$", car):
         car, _, plant = car.rpartition("/")
-    plant_words, plugins = (("--plant", plant) if plant else ()), option_words(settings, "plugin")
-    drive = ("drive", *drive_words(task.roads[0], settings.length), "--vehicle", car, *plant_words, *plugins)
-    if task.drivers:
-        return "drive with the speed control", command(*drive, "--profile", task.profiles[-1], "--speed-control")
+    plant_words, plugins = (["--plant", plant] if plant else []), option_words(settings, "plugin")
     condition, comparison = list(compared.profile_comparisons.items())[-1]
-    best = standing_rows(comparison)[0]
-    where = "--controller", best["contender"], "--profile", condition.partition(", friction ")[0]
-    tune = ("tune", car, "--road", task.roads[0], *plant_words, *where, *plugins, "--out", "tuned")
-    return choose_step(
-        (best["tuning"] == "tuned", "tune it for a road", command(*tune)),
-        (True, "drive it", command(*drive, *where)),
-    )
+    best = {} if task.drivers else standing_rows(comparison)[0]
+    return {
+        "has_drivers": task.drivers, "is_tuned": best.get("tuning") == "tuned", "best": best.get("contender"),
+        "drive": [*drive_words(task.roads[0], settings.length), "--vehicle", car, *plant_words, *plugins],
+        "tune": [car, "--road", task.roads[0], *plant_words], "plugins": plugins,
+        "profile": task.profiles[-1] if task.drivers else condition.partition(", friction ")[0],
+    }  # fmt: skip
 
 
 # -- lane changes -----------------------------------------------------------------------------------------------------
@@ -158,5 +155,5 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
             name, settings.vehicle or ["paper"], settings.profile or ["road"], settings.controller,
             tuned=settings.budget != 0, progress=advance,
         ))  # fmt: skip
-    drive = command("drive", "country", "--vehicle", (settings.vehicle or ["paper"])[0])
-    return add_command(lane_change_result(name, runs), ("drive a road", drive))
+    car = (settings.vehicle or ["paper"])[0]
+    return add_command(lane_change_result(name, runs), "compare --lane-change", car=car)

@@ -14,10 +14,9 @@ import typer
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import controllers, note_progress, options, show
-from adaptrack.cli.next_step import choose_step, command, next_line, option_words, repeat_command_with, replace_option
-from adaptrack.cli.options import flag, json_flag, option, option_group
+from adaptrack.cli.next_step import next_line
+from adaptrack.cli.options import flag, json_flag, option, option_group, option_words
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
-from adaptrack.cli.road import drive_slower
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result, ResultTable
@@ -241,7 +240,7 @@ def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows
     limits = None if plan is None else limits_record(plan)
     return replace(
         result, tables=[*result.tables, *tables], notes=[note for note in notes if note],
-        record={"rows": rows, "limits": limits}, next_step=next_line(*_next_step(arguments, loop, rows)),
+        record={"rows": rows, "limits": limits}, next_step=next_line("drive", **_facts(arguments, loop, rows)),
     )  # fmt: skip
 
 
@@ -294,30 +293,25 @@ def _stiffness_notes(loop: DrivenLoop) -> list[str]:
     ]
 
 
-def _next_step(arguments: DriveOptions, loop: DrivenLoop, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
-    """Suggest the next command after the runs, with the reason."""
-    place, checked, car = arguments.place, loop.places.road, option_words(arguments.car)
-    on_road, profile = checked is not None, option_words(place, "profile")
-    is_off_lane = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
-    check = command("road", "check", place.names[0], "--vehicle", arguments.car.vehicle, *option_words(place.route))
+def _facts(arguments: DriveOptions, loop: DrivenLoop, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the facts for the next command."""
+    place, checked, car = arguments.place, loop.places.road, arguments.car
+    is_off_lane = checked is not None and any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
     best = min(rows, key=lambda row: math.inf if row["mse"] is None else row["mse"])["controller"]
-    road, plant = _comparable_road(arguments) if on_road else None, arguments.car.plant
-    words = [
-        *profile, *option_words(place.route, "length"), *option_words(arguments.drive, "prescribed_speed"),
-        *option_words(arguments.car, "plugin"),
-    ]  # fmt: skip
-    tuned = ["--vehicle", f"{arguments.car.vehicle}/{plant}", "--tuning", *(arguments.tuning or [])[:1], *words]
-    tune = [arguments.car.vehicle, "--road", road, "--plant", plant, "--controller", best, *words, "--out", "tuned"]
-    return choose_step(
-        (is_off_lane and checked and not checked.drivable, "to see the places that cannot be driven", check),
-        (is_off_lane and on_road, "to stay in the lane, drive more slowly", drive_slower(place.route)),
-        (arguments.drive.out is None, "to see the drive on a page", repeat_command_with("--out", "drive")),
-        (not on_road, "to drive a road", command("drive", "country", *car)),
-        (arguments.scheduler, "to certify the scheduler", command("certify", arguments.scheduler, *car, *profile)),
-        (road and arguments.tuning, "to test the tuning with different noise", command("compare", road, *tuned)),
-        (road and _is_tunable(best, loop), f"to tune {best} for this road", command("tune", *tune)),
-        (True, "to drive with another seed of the noise", replace_option("--seed", arguments.drive.seed + 1)),
-    )
+    road = None if checked is None else _comparable_road(arguments)
+    profile, tunings = option_words(place, "profile"), arguments.tuning or [None]
+    return {
+        "is_blocked": is_off_lane and checked and not checked.drivable, "is_off_lane": is_off_lane,
+        "has_no_page": arguments.drive.out is None, "is_scenario": checked is None, "scheduler": arguments.scheduler,
+        "has_tuning": road and arguments.tuning, "is_tunable": road and _is_tunable(best, loop),
+        "road": place.names[0], "route": option_words(place.route), "slower": place.route.slower,
+        "test_road": road, "vehicle": car.vehicle, "plant": car.plant, "car": option_words(car),
+        "profile": profile, "tuning": tunings[0], "best": best, "seed": arguments.drive.seed + 1,
+        "loop": [
+            *profile, *option_words(place.route, "length"), *option_words(arguments.drive, "prescribed_speed"),
+            *option_words(car, "plugin"),
+        ],
+    }  # fmt: skip
 
 
 def _comparable_road(arguments: DriveOptions) -> str | None:

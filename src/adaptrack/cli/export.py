@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from enum import StrEnum
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli import road as roads
-from adaptrack.cli.next_step import next_line
+from adaptrack.cli.next_step import say_next
 from adaptrack.cli.options import flag, json_flag, option, option_group
 
 app = typer.Typer(
@@ -142,7 +141,7 @@ def export_c(
     if files.failed:
         show.say(f"Warning: on the recorded drive, {files.failed}. Lower --speed, or choose a different --road.")
     show.say_backups(files.backups)
-    show.say(next_line("to verify that it matches Python", shlex.join(["make", "-C", str(files.folder), "check"])))
+    say_next("export c", folder=files.folder)
 
 
 # -- FMUs -------------------------------------------------------------------------------------------------------------
@@ -243,4 +242,4 @@ def export_page(
         show.say_json({"file": str(page), "bytes": size})
         return
     show.say(f"{page}: {size:,} bytes")
-    show.say(next_line("to drive, open it in a browser", shlex.quote(str(page))))
+    say_next("export page", page=page)

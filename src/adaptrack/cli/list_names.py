@@ -7,7 +7,7 @@ from collections.abc import Callable
 import adaptrack as at
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.next_step import say_next
 from adaptrack.cli.options import argument, json_flag
 
 Descriptions = dict[str, str]
@@ -89,6 +89,6 @@ def list_names(
     describe, words = COMMANDS[kind]
     rows = [{"name": name, "description": text} for name, text in describe().items()]
     show.listing(f"{len(rows)} {kind}", rows, as_json)
-    if rows and not as_json:
+    if not as_json:
         plugins = [word for module in plugin or () for word in ("--plugin", module)]
-        say_next("use one", command(*words.split(), rows[0]["name"], *plugins))
+        say_next("list", command=words.split(), name=rows[0]["name"] if rows else "", plugins=plugins)

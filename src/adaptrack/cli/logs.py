@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import typer
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import add_command, choose_step, command, option_words, repeat_command_with, say_next
-from adaptrack.cli.options import EXIT_FAILED, argument, flag, json_flag, option, option_group
-
-if TYPE_CHECKING:
-    from adaptrack.identification.shadow import Shadow
+from adaptrack.cli.next_step import add_command, say_next
+from adaptrack.cli.options import EXIT_FAILED, argument, flag, json_flag, option, option_group, option_words
 
 
 # -- columns ----------------------------------------------------------------------------------------------------------
@@ -138,7 +135,12 @@ def identify(arguments: IdentifyOptions) -> None:
     if page is not None:
         show.say(f"Page: {write_identification_page(identified, page, options.command_line())}", aside=as_json)
     if not as_json:
-        say_next(*_after_identify(arguments, bool(identified.findings), refused, is_implausible))
+        say_next(
+            "identify", has_hidden_contradictions=page is None and (identified.findings or refused),
+            is_implausible=is_implausible, is_refused=refused, is_unsaved=out is None, log=arguments.logs[0],
+            car=None if arguments.car is None else ["--vehicle", arguments.car],
+            columns=option_words(arguments.log_columns), file=out or "my-car.toml",
+        )  # fmt: skip
     if refused:
         raise typer.Exit(EXIT_FAILED)
 
@@ -158,31 +160,7 @@ def _identify_drive(arguments: IdentifyOptions, reading: at.Reading) -> None:
             identified.to_toml(out)
         show.say(f"Car: {out}", aside=arguments.as_json)
     if not arguments.as_json:
-        say_next(*choose_step(
-            (out is None, "to keep the car", repeat_command_with("--out", "my-car.toml")),
-            (True, "to drive it", command("drive", "country", "--vehicle", out, "--speed-control")),
-        ))  # fmt: skip
-
-
-def _after_identify(
-    arguments: IdentifyOptions, has_findings: bool, refused: bool, is_implausible: bool
-) -> tuple[str, str]:
-    """Suggest the next command for an identified car.
-
-    refused: not consistent; is_implausible: an estimate that no such car has.
-    """
-    log, out = arguments.logs[0], arguments.out
-    car = () if arguments.car is None else ("--vehicle", arguments.car)
-    check = command("check-loop", log, *car, *option_words(arguments.log_columns))
-    keep = ("--out", "my-car.toml")
-    return choose_step(
-        ((has_findings or refused) and arguments.page is None, "to see the contradictions on a page",
-         repeat_command_with("--page", "identified.html")),
-        (is_implausible, "to find signals that contradict each other", check),
-        (refused, "to write the car anyway", repeat_command_with(*(() if out else keep), "--anyway")),
-        (out is None, "to keep the car", repeat_command_with(*keep)),
-        (True, "to drive it", command("drive", "country", "--vehicle", out)),
-    )  # fmt: skip
+        say_next("identify --longitudinal", is_unsaved=out is None, file=out)
 
 
 # -- shadow -----------------------------------------------------------------------------------------------------------
@@ -218,23 +196,18 @@ def shadow(arguments: ShadowOptions) -> None:
             without=parts(arguments.without), profile=arguments.profile, computation=arguments.computation,
             progress=advance,
         )  # fmt: skip
-    result = add_command(shadow_result(report), _after_shadow(arguments, report))
+    identify_words = [
+        *arguments.log, "--car", arguments.vehicle, *option_words(arguments.log_columns),
+        *option_words(arguments, "computation"),
+    ]  # fmt: skip
+    result = add_command(
+        shadow_result(report), "shadow", is_spoiled=report.spoiling, has_no_page=arguments.out is None,
+        is_plausible=report.believable, without=",".join([*parts(arguments.without), *report.spoiling]),
+        identify=identify_words,
+    )  # fmt: skip
     show.write_and_say(result, arguments.out, arguments.as_json)
     if not report.believable:
         raise typer.Exit(EXIT_FAILED)
-
-
-def _after_shadow(arguments: ShadowOptions, report: Shadow) -> tuple[str, str]:
-    """Suggest the next command after a shadow run, with the reason."""
-    car = ("--car", arguments.vehicle, *option_words(arguments.log_columns), *option_words(arguments, "computation"))
-    identify_logs = ("identify", *arguments.log, *car)
-    return choose_step(
-        (report.spoiling, "to leave out the contradictory signals",
-         repeat_command_with("--without", ",".join(report.spoiling))),
-        (arguments.out is None, "to see the estimates over time", repeat_command_with("--out", "shadow")),
-        (report.believable, "to keep the car", command(*identify_logs, "--out", "my-car.toml")),
-        (True, "to identify the car from the log", command(*identify_logs)),
-    )  # fmt: skip
 
 
 # -- check-loop -------------------------------------------------------------------------------------------------------
@@ -275,6 +248,6 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     show.say_result(check_result(check, str(arguments.log), columns.notes), arguments.as_json)
     if check.contradictions:
         raise typer.Exit(EXIT_FAILED)
-    if not arguments.as_json and arguments.vehicle is not None:
-        words = (arguments.log, "--car", arguments.vehicle, *option_words(arguments.log_columns))
-        say_next("to identify the car", command("identify", *words))
+    if not arguments.as_json:
+        columns_words = option_words(arguments.log_columns)
+        say_next("check-loop", log=arguments.log, vehicle=arguments.vehicle, columns=columns_words)

@@ -59,6 +59,31 @@ def option_names(name: str, field: dataclasses.Field[Any]) -> tuple[str, ...]:
     return () if names is None else names or (f"--{name.replace('_', '-')}",)
 
 
+def option_words(group: Any, *names: str) -> list[str]:
+    """Return the options of a group that differ from their defaults, as words of a command line.
+
+    names: fields of these options; all if there are none.
+    """
+    words = list[str]()
+    for field in dataclasses.fields(group):
+        value = getattr(group, field.name)
+        if dataclasses.is_dataclass(value):
+            words += option_words(value, *names)
+        elif (
+            value not in (None, field.default)
+            and option_names(field.name, field)
+            and (not names or field.name in names)
+        ):
+            on, _, off = option_names(field.name, field)[0].partition("/")
+            if isinstance(value, bool):
+                words.append(on if value else off)
+            elif isinstance(value, list):
+                words += [word for entry in value for word in (on, str(entry))]
+            else:
+                words += [on, *map(str, value if isinstance(value, tuple) else (value,))]
+    return words
+
+
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Convert a function to a typer command with one option for each argument and for each field of its groups.
 

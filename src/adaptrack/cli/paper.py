@@ -15,7 +15,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS, WORKERS, RequestLimit, check_limit
 from adaptrack.cli import note_progress, options, show
-from adaptrack.cli.next_step import add_command, choose_step, command, next_line, replace_option, say_next
+from adaptrack.cli.next_step import add_command, next_line, say_next
 from adaptrack.cli.options import argument, flag, json_flag, option
 from adaptrack.cli.show import Column
 
@@ -69,11 +69,8 @@ def reproduce(
     options.make_page_folder(out)
     with show.progress("reproduce") as advance:
         reproduction = repeat_experiment(dataset, quick=quick, seed=seed, progress=advance)
-    next_step = choose_step(
-        (quick, "to train as long as the paper", replace_option("--out", f"{out}-whole", without=["--quick"])),
-        (True, "to drive a road", command("drive", "country", "--out", "drive")),
-    )
-    show.write_and_say(add_command(reproduction_result(reproduction), next_step), out, as_json)
+    result = add_command(reproduction_result(reproduction), "paper reproduce", quick=quick, out=out)
+    show.write_and_say(result, out, as_json)
 
 
 # -- campaign ---------------------------------------------------------------------------------------------------------
@@ -107,8 +104,7 @@ def campaign(
         note_progress(f"Finished parts are in {out}: run the command again to continue.")
         with show.progress("campaign") as advance:
             data = run_campaign(config, out, workers=workers, cluster=cluster, progress=advance)
-    learn = command("paper", "train", "--data", out or name, "--model", "nn", "--out", "nn.json")
-    next_step = next_line("to train a schedule on this data set", learn)
+    next_step = next_line("paper campaign", data=out or name)
     show.write_and_say(replace(dataset_result(load_dataset(data)), next_step=next_step), out, as_json)
 
 
@@ -179,7 +175,7 @@ def train(
     show.say(f"Schedule: {out}")
     purpose = {f"--{key}": schedule.made_for.get(name) for key, name in (("vehicle", "car"), ("profile", "profile"))}
     words = [word for option, value in purpose.items() if value for word in (option, value)]
-    say_next("to see whether its loops are stable", command("certify", out, *words))
+    say_next("paper train", schedule=out, purpose=words)
 
 
 # -- adapt ------------------------------------------------------------------------------------------------------------
@@ -225,8 +221,8 @@ def adapt(
         return
     show.table("Schedules trained in closed loop", ROUND_COLUMNS, rows)
     show.say(f"Schedules: {out / 'schedulers'}")
-    line = command("paper", "evaluate", out, "--campaign", campaign, "--profile", profile)
-    say_next("to evaluate them on new runs", line)
+    words = None if profile is None else ["--profile", profile]
+    say_next("paper adapt", folder=out, campaign=campaign, profile=words)
 
 
 # -- evaluate ---------------------------------------------------------------------------------------------------------
@@ -285,10 +281,7 @@ def evaluate(
             "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},
             "tests": evaluate_on_tests(task, schedules) if tests else {},
         }
-    result = add_command(
-        evaluation_result(views, schedules),
-        None if drives else ("to evaluate them on long drives", replace_option("--drives", 200)),
-    )
+    result = add_command(evaluation_result(views, schedules), "paper evaluate", has_no_drives=not drives)
     show.write_and_say(result, out, as_json)
 
 

@@ -11,7 +11,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli import road as roads
-from adaptrack.cli.next_step import option_words
+from adaptrack.cli.options import option_words
 
 if TYPE_CHECKING:
     from adaptrack.road.holdable_speed import HoldableSpeed

@@ -12,8 +12,8 @@ import typer
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import add_command, choose_step, command, option_words, replace_option, say_next
-from adaptrack.cli.options import argument, json_flag, option, option_group
+from adaptrack.cli.next_step import add_command, say_next
+from adaptrack.cli.options import argument, json_flag, option, option_group, option_words
 
 if TYPE_CHECKING:
     from adaptrack.road import Finding, SpeedPlan, Stop
@@ -83,6 +83,14 @@ class RoadOptions:
                     f"--stop {text}: write S:SECONDS, such as 300:5, for 5 s at rest at 300 m of the road."
                 ) from None
         return stops
+
+    @property
+    def slower(self) -> list[str]:
+        """Words of a lower speed, or of a lower lateral acceleration if no speed is set."""
+        if self.speed is not None:
+            return ["--speed", str(round(SPEED_REDUCTION * self.speed, 1))]
+        comfort = 3.0 if self.lateral_acceleration is None else self.lateral_acceleration
+        return ["--lateral-acceleration", str(round(SPEED_REDUCTION * comfort, 2))]
 
     @property
     def assumed_interval(self) -> tuple[float, float] | None:
@@ -179,25 +187,14 @@ def check(
     from adaptrack.results.road import road_result
 
     checked = route.look(road, at.load_vehicle(vehicle))
-    result = road_result(checked.road, checked.plan, checked.findings)
-    words = (road, "--vehicle", vehicle, *option_words(route))
     is_too_fast = all(finding.drivable or finding.kind in ("grip", "steering-rate") for finding in checked.findings)
-    next_step = choose_step(
-        (checked.drivable, "to drive it", command("drive", *words)),
-        (is_too_fast, "to check it at lower speed", drive_slower(route)),
-        (True, "to see the places that cannot be driven", command("road", "plot", *words)),
-    )
-    show.say_result(add_command(result, next_step), as_json)
+    result = add_command(
+        road_result(checked.road, checked.plan, checked.findings), "road check", is_drivable=checked.drivable,
+        is_too_fast=is_too_fast, slower=route.slower, road=[road, "--vehicle", vehicle, *option_words(route)],
+    )  # fmt: skip
+    show.say_result(result, as_json)
     if not checked.drivable:
         raise typer.Exit(NOT_DRIVABLE)
-
-
-def drive_slower(route: RoadOptions) -> str:
-    """Return the current command line with a lower speed or lateral acceleration."""
-    if route.speed is not None:
-        return replace_option("--speed", round(SPEED_REDUCTION * route.speed, 1))
-    comfort = 3.0 if route.lateral_acceleration is None else route.lateral_acceleration
-    return replace_option("--lateral-acceleration", round(SPEED_REDUCTION * comfort, 2))
 
 
 @app.command()
@@ -218,7 +215,7 @@ def plot(
     checked = route.look(road, at.load_vehicle(vehicle))
     write_atomically(out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
     show.say(f"Picture: {out}")
-    say_next("to drive it", command("drive", road, "--vehicle", vehicle, *option_words(route)))
+    say_next("road plot", road=[road, "--vehicle", vehicle, *option_words(route)])
 
 
 @dataclass(frozen=True)

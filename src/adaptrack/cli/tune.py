@@ -10,8 +10,8 @@ import typer
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import note_progress, options, show
-from adaptrack.cli.next_step import add_command, command, drive_words, option_words
-from adaptrack.cli.options import argument, json_flag, option, option_group
+from adaptrack.cli.next_step import add_command, drive_words
+from adaptrack.cli.options import argument, json_flag, option, option_group, option_words
 from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _tune_car(settings: TuneOptions) -> Result:
         command=options.command_line(), belief=summary["belief"], tuning=summary["tuning"],
     ).to_toml(tuning_file)  # fmt: skip
     files = {"car_file": str(car_file), "tuning_file": str(tuning_file)}
-    return add_command(tuned_car_result(tuned, files), _next_step(settings, ["country"], car_file, tuning_file))
+    return _add_command(tuned_car_result(tuned, files), settings, ["country"], car_file, tuning_file)
 
 
 def _tune_on_roads(settings: TuneOptions) -> Result:
@@ -115,14 +115,14 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
     file = settings.out / TUNING_FILE
     tuned.file.to_toml(file)
     road = drive_words((settings.road or ["country"])[0], settings.length)
-    return add_command(tuned_roads_result(tuned, str(file)), _next_step(settings, road, settings.car, file))
+    return _add_command(tuned_roads_result(tuned, str(file)), settings, road, settings.car, file)
 
 
-def _next_step(settings: TuneOptions, road: list[str], car: str | Path, tuning: Path) -> tuple[str, str]:
-    """Suggest to drive a road with a tuning."""
+def _add_command(result: Result, settings: TuneOptions, road: list[str], car: str | Path, tuning: Path) -> Result:
+    """Return a result with the current command line and the suggestion to drive a road with the tuning."""
     loop = option_words(settings, "plant", "prescribed_speed", "plugin")
-    words = ("--vehicle", car, "--profile", settings.profile, *loop, "--tuning", tuning)
-    return "drive with it", command("drive", *road, *words)
+    words = [*road, "--vehicle", car, "--profile", settings.profile, *loop]
+    return add_command(result, "tune", drive=words, tuning=tuning)
 
 
 def _pair(option: str, text: str | None) -> tuple[float, float] | None:
