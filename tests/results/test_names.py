@@ -21,7 +21,7 @@ NASTY = {
 
 @pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)
 def test_any_name_is_driven_saved_loaded_and_printed(run_command, monkeypatch, tmp_path, name):
-    monkeypatch.setattr("adaptrack.results.drive.write_page", lambda out, *_, **__: out)  # drawn below
+    monkeypatch.setattr("adaptrack.results.page.write_result", lambda out, *_, **__: out)  # drawn below
     inside = tmp_path / "in" / "deep"
     inside.mkdir(parents=True)
     load_scenario("sine", duration=0.5).replace(name=name).to_toml(inside / "scenario.toml")

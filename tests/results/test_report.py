@@ -16,7 +16,7 @@ from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Trajectory, provenance
-from adaptrack.results import page, style, words, write_drive_page, write_result
+from adaptrack.results import style, words, write_drive_page, write_result
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
 from adaptrack.results.marks import SERIES, ColourScale, Dot, caption_notes, draw_heat_map, log_ticks, set_log_scale
@@ -226,10 +226,10 @@ def test_a_failed_report_leaves_the_old_one_and_nothing_else(tmp_path, monkeypat
     write_result(out, said("first"))
     before = {name: (out / name).read_bytes() for name in os.listdir(out)}
 
-    def full(self, content):
+    def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(page.Path, "write_bytes", full)
+    monkeypatch.setattr("adaptrack.base.files.os.fsync", full)
     with pytest.raises(StorageError, match="No space left"):
         write_result(out, said("second"))
     with pytest.raises(StorageError, match="No space left"):
@@ -244,7 +244,7 @@ def test_an_unusable_folder_is_refused_with_its_name(tmp_path):
     with pytest.raises(StorageError, match="file"):
         write_result(tmp_path / "file", said("first"))
     (tmp_path / "out" / "index.html").mkdir(parents=True)
-    with pytest.raises(StorageError, match="a folder has that name"):
+    with pytest.raises(StorageError, match="it is a folder"):
         write_result(tmp_path / "out", said("first"))
     assert os.listdir(tmp_path / "out") == ["index.html"]
 

@@ -53,8 +53,8 @@ class ResultTable:
     """(row index, column name) of each best value."""
     alert: frozenset[tuple[int, str]] = frozenset()
     """(row index, column name) of each value that needs attention, such as a failure."""
-    brief: bool = False
-    """Whether the brief console output contains this table."""
+    brief: bool | Sequence[str] = False
+    """Whether the brief console output contains this table, or the names of the columns that it has there."""
 
 
 def select_entries(
@@ -66,6 +66,31 @@ def select_entries(
     """
     names = tuple(columns)
     return frozenset((i, name) for i, row in enumerate(rows) if condition(row) for name in names)
+
+
+def best_entries(
+    rows: Sequence[Row], picks: Mapping[str, Callable[..., Any]], group: str = "", competes: Callable[[Row], Any] = bool
+) -> frozenset[tuple[int, str]]:
+    """Return all pairs (row index, column name) of the best values; a column with one value only has none.
+
+    Parameters
+    ----------
+    picks
+        For each column the function that picks its best value, min or max; None is no value.
+    group
+        Name of a column: rows with the same value in it compete with each other; all rows if empty.
+    competes
+        Condition that rows must fulfil.
+    """
+    best = set()
+    for name, pick in picks.items():
+        competing = [(i, row) for i, row in enumerate(rows) if competes(row) and row.get(name) is not None]
+        values: dict[Any, list[Any]] = {}
+        for _, row in competing:
+            values.setdefault(row.get(group), []).append(row[name])
+        if len({row[name] for _, row in competing}) > 1:
+            best |= {(i, name) for i, row in competing if row[name] == pick(values[row.get(group)])}
+    return frozenset(best)
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------

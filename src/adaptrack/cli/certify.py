@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.analysis.certify import Certificate
-    from adaptrack.analysis.feasibility import Feasibility
+    from adaptrack.analysis.linearisation import Mismatch
 
 UNSTABLE = 1
 """Exit code if the loop is unstable when driving straight, or if no tuning is stable at some speed and friction."""
@@ -48,6 +49,12 @@ class CertifiedLoop:
         ends = {"speed": self.speed, "friction": self.friction}
         return {name: interval for name, interval in ends.items() if interval is not None}
 
+    def mismatches(self, mpc: at.MPC) -> Sequence[Mismatch]:
+        """Cars that differ from the model of the MPC; none without --mismatch."""
+        from adaptrack.analysis.linearisation import usual_mismatches
+
+        return usual_mismatches(mpc.period) if self.mismatch else ()
+
 
 @options.grouped
 def certify(
@@ -66,6 +73,7 @@ def certify(
     With --feasible, the command instead finds the best tuning at each speed and friction. The exit code is then 1 if
     the best modulus margin is below 0.1 anywhere.
     """
+    from adaptrack.analysis.certify import certify as compute_certificate
     from adaptrack.results.certificate import certificate_result
 
     car, plant = loop.car.load()
@@ -79,14 +87,19 @@ def certify(
             raise InvalidInput("--feasible: leave out the schedule and --out; it tests all tunings and writes no page.")
         _print_feasible(plant, mpc, loop, as_json)
         return
-    certificate = _certificate(schedule, plant, mpc, loop, out)
+    options.make_page_folder(out)
+    with show.progress("certify") as advance:
+        certificate = compute_certificate(
+            mpc.tuning if schedule is None else schedule, plant, mpc, loop.profile, domain=loop.domain,
+            mismatches=loop.mismatches(mpc), progress=advance,
+        )  # fmt: skip
     result = add_command(
         certificate_result(certificate), "certify", is_unstable=not certificate.passed,
         has_one_car=not loop.mismatch, has_no_page=out is None, loop=option_words(loop), car=option_words(loop.car),
         profile=loop.profile, schedule=None if scheduler is None else ["--scheduler", scheduler],
         controller=option_words(loop, "controller"),
     )  # fmt: skip
-    show.write_and_say(result, out, as_json)
+    show.say_result(result, as_json, out)
     if not certificate.passed:
         _print_worst_point(certificate)
         raise typer.Exit(UNSTABLE)
@@ -109,21 +122,6 @@ def _controller(name: str | None, car: at.Vehicle, profile: str, schedule: at.Sc
     return at.published_mpc(car, period=at.load_profile(profile).period, **sizes)
 
 
-def _certificate(
-    schedule: at.Schedule | None, plant: Any, mpc: at.MPC, loop: CertifiedLoop, out: Path | None
-) -> Certificate:
-    from adaptrack.analysis.certify import certify as compute_certificate
-    from adaptrack.analysis.linearisation import usual_mismatches
-
-    options.make_page_folder(out)
-    mismatches = usual_mismatches(mpc.period) if loop.mismatch else ()
-    tunings = mpc.tuning if schedule is None else schedule
-    with show.progress("certify") as advance:
-        return compute_certificate(
-            tunings, plant, mpc, loop.profile, domain=loop.domain, mismatches=mismatches, progress=advance
-        )
-
-
 def _print_worst_point(certificate: Certificate) -> None:
     """Print the verdict of a failed certificate and its worst point."""
     point = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
@@ -138,12 +136,11 @@ def _print_worst_point(certificate: Certificate) -> None:
 def _print_feasible(plant: Any, mpc: at.MPC, loop: CertifiedLoop, as_json: bool) -> None:
     """Print the best tuning at each speed and friction; exit code 1 if no tuning is good enough somewhere."""
     from adaptrack.analysis.feasibility import feasibility
-    from adaptrack.analysis.linearisation import usual_mismatches
 
-    mismatches = usual_mismatches(mpc.period) if loop.mismatch else ()
+    domain: dict[str, Any] = loop.domain
     with show.progress("feasible") as advance:
-        result: Feasibility = feasibility(
-            plant, mpc, loop.profile, mismatches=mismatches, progress=advance, **loop.domain  # type: ignore[arg-type]
+        result = feasibility(
+            plant, mpc, loop.profile, mismatches=loop.mismatches(mpc), progress=advance, **domain
         )  # fmt: skip
     if as_json:
         show.say_json(result.summary())
@@ -151,7 +148,7 @@ def _print_feasible(plant: Any, mpc: at.MPC, loop: CertifiedLoop, as_json: bool)
         from adaptrack.results.certificate import CERTIFICATE_COLUMNS, with_ratio
 
         names = ("speed", "friction", "Np", "Nc", "ratio", "modulus_margin")
-        columns = [Column("held", "stable"), *(column for column in CERTIFICATE_COLUMNS if column.name in names)]
+        columns = [Column("held", "Stable"), *(column for column in CERTIFICATE_COLUMNS if column.name in names)]
         title = "Tuning with the largest modulus margin at each speed and friction"
         show.table(title, columns, with_ratio(result.summary()["rows"]))
         if mpc.belief is not None:

@@ -80,7 +80,7 @@ def compare(settings: CompareOptions) -> None:
     options.load_plugins(settings.plugin)
     options.make_page_folder(settings.out)
     result = _compare_on_roads(settings) if settings.lane_change is None else _compare_lane_change(settings)
-    show.write_and_say(result, settings.out, settings.as_json)
+    show.say_result(result, settings.as_json, settings.out)
 
 
 # -- roads ------------------------------------------------------------------------------------------------------------

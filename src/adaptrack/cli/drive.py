@@ -13,13 +13,13 @@ import typer
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.cli import controllers, note_progress, options, show
 from adaptrack.cli.next_step import next_line
 from adaptrack.cli.options import flag, json_flag, option, option_group, option_words
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
 
 if TYPE_CHECKING:
-    from adaptrack.base.result import Result, ResultTable
     from adaptrack.results import Run
 
 STIFFNESS_MISMATCH = 1.25
@@ -64,7 +64,6 @@ def drive(arguments: DriveOptions) -> None:
     On a road, the speed is planned for the car unless --speed sets it. A run fails if the car leaves the road or spins,
     or if a value is not finite. The exit code is then 3.
     """
-    from adaptrack.results.drive import write_page
     from adaptrack.tuning.constant import load_tuning
 
     settings = arguments.drive
@@ -79,11 +78,7 @@ def drive(arguments: DriveOptions) -> None:
     failed = any(row["failed"] for row in rows)
     _say_failures(rows, settings.as_json)
     result = _result(arguments, loop, runs, rows)
-    page = None
-    if settings.out is not None:
-        with show.progress("write the page"):
-            page = write_page(settings.out, result, png=settings.png)
-    show.say_result(result, settings.as_json, page)
+    show.say_result(result, settings.as_json, settings.out, png=settings.png)
     if not failed:
         controllers.save_learned(settings.learned, loop.drivers, settings.as_json)
     if failed and not settings.allow_failed:
@@ -184,14 +179,10 @@ def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
     """Return a run for --json: its conditions, `failed` (reason or null), `failed_at` (s) and its measures."""
     import numpy as np
 
-    from adaptrack.drive.speed_measures import measure_stops, speed_measures
-
     trajectory, meta = run.trajectory, run.trajectory.meta
-    measures: dict[str, Any] = run.metrics.as_row() if run.metrics else {}
+    measures = run.measures.as_row()
     del measures["failed"]
     reason, clause = measures.pop("failed_reason"), measures.pop("failed_because")
-    following = {} if run.road is None or run.plan is None else speed_measures(trajectory, run.road, run.plan)
-    stops = [] if run.plan is None else measure_stops(trajectory, run.plan)
     stations = trajectory.road.get("station", np.empty(0))
     finite = stations[np.isfinite(stations)]
     return {
@@ -208,8 +199,8 @@ def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
         "driven_length": float(finite[-1] - finite[0]) if finite.size else None,
         "road_length": None if places.road is None else places.drives[0].length,  # type: ignore[union-attr]
         **measures,
-        **{key: None if value is None or not math.isfinite(value) else value for key, value in following.items()},
-        "stops": [{**stop._asdict(), "error": None if math.isnan(stop.error) else stop.error} for stop in stops],
+        **{key: None if value is None or not math.isfinite(value) else value for key, value in run.following.items()},
+        "stops": [{**stop._asdict(), "error": None if math.isnan(stop.error) else stop.error} for stop in run.stops],
     }
 
 
@@ -246,8 +237,6 @@ def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows
 
 def _learned_table(label: str, controller: Any) -> ResultTable:
     """Return a table of the learned quantities with their intervals."""
-    from adaptrack.base.result import Column, ResultTable
-
     columns = (
         Column("quantity", "quantity"), Column("value", "value", "", 3), Column("low", "90 % from", "", 3),
         Column("high", "to", "", 3), Column("unit", "unit"),
@@ -299,14 +288,14 @@ def _facts(arguments: DriveOptions, loop: DrivenLoop, rows: Sequence[dict[str, A
     is_off_lane = checked is not None and any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
     best = min(rows, key=lambda row: math.inf if row["mse"] is None else row["mse"])["controller"]
     road = None if checked is None else _comparable_road(arguments)
-    profile, tunings = option_words(place, "profile"), arguments.tuning or [None]
+    profile, tunings = option_words(place, "profile"), arguments.tuning or []
     return {
         "is_blocked": is_off_lane and checked and not checked.drivable, "is_off_lane": is_off_lane,
         "has_no_page": arguments.drive.out is None, "is_scenario": checked is None, "scheduler": arguments.scheduler,
-        "has_tuning": road and arguments.tuning, "is_tunable": road and _is_tunable(best, loop),
+        "has_tuning": road and tunings, "is_tunable": road and _is_tunable(best, loop),
         "road": place.names[0], "route": option_words(place.route), "slower": place.route.slower,
         "test_road": road, "vehicle": car.vehicle, "plant": car.plant, "car": option_words(car),
-        "profile": profile, "tuning": tunings[0], "best": best, "seed": arguments.drive.seed + 1,
+        "profile": profile, "tuning": tunings[:1], "best": best, "seed": arguments.drive.seed + 1,
         "loop": [
             *profile, *option_words(place.route, "length"), *option_words(arguments.drive, "prescribed_speed"),
             *option_words(car, "plugin"),

@@ -205,7 +205,7 @@ def shadow(arguments: ShadowOptions) -> None:
         is_plausible=report.believable, without=",".join([*parts(arguments.without), *report.spoiling]),
         identify=identify_words,
     )  # fmt: skip
-    show.write_and_say(result, arguments.out, arguments.as_json)
+    show.say_result(result, arguments.as_json, arguments.out)
     if not report.believable:
         raise typer.Exit(EXIT_FAILED)
 

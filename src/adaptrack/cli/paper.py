@@ -70,7 +70,7 @@ def reproduce(
     with show.progress("reproduce") as advance:
         reproduction = repeat_experiment(dataset, quick=quick, seed=seed, progress=advance)
     result = add_command(reproduction_result(reproduction), "paper reproduce", quick=quick, out=out)
-    show.write_and_say(result, out, as_json)
+    show.say_result(result, as_json, out)
 
 
 # -- campaign ---------------------------------------------------------------------------------------------------------
@@ -105,7 +105,7 @@ def campaign(
         with show.progress("campaign") as advance:
             data = run_campaign(config, out, workers=workers, cluster=cluster, progress=advance)
     next_step = next_line("paper campaign", data=out or name)
-    show.write_and_say(replace(dataset_result(load_dataset(data)), next_step=next_step), out, as_json)
+    show.say_result(replace(dataset_result(load_dataset(data)), next_step=next_step), as_json, out)
 
 
 # -- train ------------------------------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ def evaluate(
             "tests": evaluate_on_tests(task, schedules) if tests else {},
         }
     result = add_command(evaluation_result(views, schedules), "paper evaluate", has_no_drives=not drives)
-    show.write_and_say(result, out, as_json)
+    show.say_result(result, as_json, out)
 
 
 def _add_schedules(

@@ -209,11 +209,11 @@ def plot(
     """Draw the course, curvature and planned speed of a road as PNG."""
     from adaptrack.base.files import write_atomically
     from adaptrack.results.road import road_picture
-    from adaptrack.results.style import picture_png
+    from adaptrack.results.style import png, print_figure
 
     options.make_place(out)
     checked = route.look(road, at.load_vehicle(vehicle))
-    write_atomically(out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
+    write_atomically(out, png(print_figure(road_picture(checked.road, checked.plan, checked.findings))))
     show.say(f"Picture: {out}")
     say_next("road plot", road=[road, "--vehicle", vehicle, *option_words(route)])
 
@@ -231,11 +231,11 @@ class CheckedRoad:
         """Whether the car can drive all of the road."""
         return all(finding.drivable for finding in self.findings)
 
-    def warn(self, aside: bool = True) -> None:
+    def warn(self) -> None:
         """Print warnings for places that the car cannot drive, and notes on unusual speed limits."""
         for finding in self.findings:
             where = f"(s = {finding.start:.0f} to {finding.end:.0f} m)"
             if not finding.drivable:
-                show.say(f"Warning, {self.road.name}: {finding.text} {where}.", aside=aside)
+                show.say(f"Warning, {self.road.name}: {finding.text} {where}.", aside=True)
             elif finding.kind in ("domain", "ripple"):
-                show.say(f"{self.road.name}: {finding.text} {where}.", aside=aside)
+                show.say(f"{self.road.name}: {finding.text} {where}.", aside=True)

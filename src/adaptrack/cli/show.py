@@ -22,25 +22,20 @@ TableRows = Sequence[Mapping[str, Any]]
 
 
 # -- text and tables --------------------------------------------------------------------------------------------------
-def say_result(result: Result, as_json: bool, page: Path | None = None) -> None:
-    """Print a result as text or JSON; page: path of its page, printed to standard error with JSON."""
+def say_result(result: Result, as_json: bool, out: Path | None = None, png: bool = True) -> None:
+    """Write the page of a result, with PNG files, to the folder `out`, if there is one; print the result."""
+    page = None
+    if out is not None:
+        from adaptrack.results.page import write_result  # matplotlib, which a result without a page does not need
+
+        with progress("write the page"):
+            page = write_result(out, result, png=png)
     if as_json:
         print(to_json(result))
         if page is not None:
             say(f"Page: {page}", aside=True)
     else:
         print_result(result, page)
-
-
-def write_and_say(result: Result, out: Path | None, as_json: bool) -> None:
-    """Write the page of a result to a folder, unless `out` is None, and print the result."""
-    page = None
-    if out is not None:
-        from adaptrack.results.page import write_result  # matplotlib, which a result without a page does not need
-
-        with progress("write the page"):
-            page = write_result(out, result)
-    say_result(result, as_json, page)
 
 
 def say_json(values: Any) -> None:

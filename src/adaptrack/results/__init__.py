@@ -2,7 +2,7 @@
 
 * `console` prints the answer, the brief tables, the notes and the next step; `page` writes the page of a result by the
   template of its kind (`templates/`).
-* `style` lays out the figures of a picture and writes PNG and SVG; `marks` draws curves, maps, dots and scales on axes.
+* `style` lays out the figures of a picture and writes PNG and SVG; `marks` has colours, maps, keys and dots.
 * `drive`, `compare`, `evaluation`, `lane_change`, `tuning`, `identify`, `shadow`, `road`, `certificate`, `dataset` and
   `reproduce` make results from objects of the other rooms. `run_pictures` shows runs, `record` the road from above,
   `replay` the drive; `words` formats numbers and names.

@@ -26,15 +26,12 @@ Array = NDArray[np.float64]
 THIN_MODULUS = 0.25
 """Modulus margin below which an answer calls it thin; textbooks ask for at least 0.5."""
 _WORST = 8
-"""Number of worst points in the page's table, for driving straight and for the hard turn."""
+"""Number of worst points in the table, for driving straight and for the hard turn."""
 _STROKES: dict[Driving, marks.Stroke] = {
-    "straight": marks.make_stroke(marks.SERIES[0]),
-    "turn": marks.make_stroke(marks.SERIES[1], marks.LONG_DASHES),
+    "straight": {"color": marks.SERIES[0], "linestyle": "-"},
+    "turn": {"color": marks.SERIES[1], "linestyle": marks.LONG_DASHES},
 }
 _NAMES: dict[Driving, str] = {"straight": "Driving straight", "turn": "In a hard turn"}
-_TITLES: dict[Driving, str] = {
-    "straight": "driving straight (verdict)", "turn": "in a hard turn (warning only)"
-}  # fmt: skip
 
 MARGIN_COLUMNS = (
     Column("name", "Scheduler"),
@@ -47,27 +44,26 @@ MARGIN_COLUMNS = (
     Column("modulus_margin", "Smallest modulus margin", show=3),
 )
 CERTIFICATE_COLUMNS = (
-    Column("driving", "driving"),
-    Column("guard", "guard"),
-    Column("speed", "speed", "m/s", 3),
-    Column("friction", "friction", "", 3),
-    Column("Np", "Np", "", 3),
-    Column("Nc", "Nc", "", 3),
+    Column("speed", "Speed", "m/s", 3),
+    Column("friction", "Friction", "", 3),
+    Column("Np", "Np", "", "whole"),
+    Column("Nc", "Nc", "", "whole"),
     Column("ratio", "R/Q", "m²/rad²", 3),
-    Column("radius", "spectral\nradius"),
-    Column("delay", "delay", "s", 3),
-    Column("modulus_margin", "modulus\nmargin", "", 3),
+    Column("radius", "Spectral\nradius"),
+    Column("gain_up", "Gain\nup", "", 3, "factor on the steering command at which the loop becomes unstable"),
+    Column("gain_down", "Gain\ndown", "", 3, "factor on the steering command at which the loop becomes unstable"),
+    Column("delay", "Delay", "ms", 3, "additional delay at which the loop becomes unstable"),
+    Column("modulus_margin", "Modulus\nmargin", "", 3),
 )
 MISMATCH_COLUMNS = (
-    Column("mismatch", "difference"),
-    Column("unstable", "unstable", "", "whole"),
-    *CERTIFICATE_COLUMNS[2:],
-)
+    Column("mismatch", "Difference"), Column("unstable", "Unstable", "", "whole"), *CERTIFICATE_COLUMNS[:6],
+    *CERTIFICATE_COLUMNS[8:],
+)  # fmt: skip
 
-_RADIUS = marks.ColourScale(0.8, 1.02, "Spectral radius (–)", reversed=True)
+_RADIUS = marks.ColourScale(0.8, 1.02, "Spectral radius (–)", colours="cividis_r")
 _MODULUS = marks.ColourScale(0.0, 1.0, "Modulus margin (–)")
 _UP = marks.ColourScale(1.0, 20.0, "Gain margin up (factor)", log=True)
-_DOWN = marks.ColourScale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
+_DOWN = marks.ColourScale(0.0, 1.0, "Gain margin down (factor)", colours="cividis_r")
 _DELAY = marks.ColourScale(1.0, 1000.0, "Delay margin (ms)", log=True)
 
 
@@ -86,7 +82,7 @@ def certificate_result(certificate: Certificate) -> Result:
         title=f"Certificate of {certificate.scheduler}: {certificate.plant}, profile {certificate.profile}",
         answer=_answer(certificate),
         record={**certificate.summary(), "rows": certificate.rows()},
-        tables=[*_console_tables(certificate), *_margin_tables(certificate), _worst(certificate)],
+        tables=[_worst(certificate), *_margin_tables(certificate)],
         notes=[f"Steering model of the controller: {certificate.belief}."] if certificate.belief else [],
         pictures=[_modulus(certificate, worst["modulus_margin"]), *maps, _tunings(certificate)],
         failed=not certificate.passed,
@@ -125,22 +121,13 @@ def with_ratio(points: Sequence[Row]) -> list[dict[str, Any]]:
     return [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
 
 
-def _console_tables(certificate: Certificate) -> list[ResultTable]:
-    """The points with the smallest modulus margin, for each way of driving, with the guard and without."""
-    sweeps = [(certificate.guarded is not None, certificate.counted)]
-    sweeps += [(False, certificate.bare)] if certificate.guarded is not None else []
-    tables = []
-    for driving in DRIVING_CASES:
-        points = [
-            {"guard": on, **point} for on, sweep in sweeps for point in certificate.worst_points(5, sweep, driving)
-        ]
-        title = f"{certificate.scheduler}, {_TITLES[driving]}: points nearest to instability"
-        tables.append(ResultTable(f"nearest_{driving}", title, CERTIFICATE_COLUMNS, with_ratio(points), brief=True))
-    if certificate.mismatched:
-        title = f"{certificate.scheduler}, cars that differ from the model: points nearest to instability"
-        rows = with_ratio(certificate.mismatched_rows())
-        tables.append(ResultTable("nearest_mismatched", title, MISMATCH_COLUMNS, rows, brief=True))
-    return tables
+def _point_rows(points: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return rows of `CERTIFICATE_COLUMNS`: with R/Q, delays in ms, and infinite margins, which JSON has as None."""
+    rows = with_ratio(points)
+    for row in rows:
+        row |= {key: math.inf for key in ("gain_up", "gain_down", "delay") if row[key] is None}
+        row["delay"] *= 1000.0
+    return rows
 
 
 def _margin_tables(certificate: Certificate) -> list[ResultTable]:
@@ -154,6 +141,9 @@ def _margin_tables(certificate: Certificate) -> list[ResultTable]:
         cars = [_extremes(name, margins) for name, margins in certificate.mismatched.items()]
         columns = (Column("name", "True car"), *MARGIN_COLUMNS[1:])
         tables.append(ResultTable("mismatched", title, columns, cars, alert=_unstable(cars)))
+        title = "Points of cars that differ from the model with the smallest modulus margin"
+        points = _point_rows(certificate.mismatched_rows())
+        tables.append(ResultTable("worst mismatched", title, MISMATCH_COLUMNS, points, brief=True))
     return tables
 
 
@@ -170,38 +160,20 @@ def _unstable(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
 def _worst(certificate: Certificate) -> ResultTable:
     names = SchedulingVariables._fields
     varied = [
-        name for name in INPUT_LABELS
+        Column(name, *label, 3) for name, label in INPUT_LABELS.items()
         if name not in ("speed", "friction") and np.ptp(certificate.points[:, names.index(name)]) > 0.0
     ]  # fmt: skip
-    columns = [
-        Column("speed", "Speed", "m/s", 3),
-        Column("friction", "Friction", "", 3),
-        *(Column(name, *INPUT_LABELS[name], 3) for name in varied),
-        Column("Np", "Np"),
-        Column("Nc", "Nc"),
-        Column("ratio", "R/Q", "m²/rad²", 3),
-        Column("radius", "Spectral radius", "", 4),
-        Column("gain_up", "Gain margin up", "", 3),
-        Column("gain_down", "Gain margin down", "", 3),
-        Column("delay", "Delay margin", "ms", 3),
-        Column("modulus_margin", "Modulus margin", "", 3),
-    ]
     rows = [
-        _point(point) | {"part": f"{name}, {_NAMES[driving].lower()}"}
+        {**point, "part": f"{name}, {_NAMES[driving].lower()}"}
         for name, sweep in _sweeps(certificate)
         for driving in DRIVING_CASES
-        for point in certificate.worst_points(_WORST, sweep, driving)
+        for point in _point_rows(certificate.worst_points(_WORST, sweep, driving))
     ]
-    unstable = select_entries(rows, ["radius"], lambda row: row["radius"] >= 1.0)
-    return ResultTable("worst", "Points with the smallest modulus margin", columns, rows, group="part", alert=unstable)
-
-
-def _point(point: Row) -> dict[str, Any]:
-    up, down, delay = (math.inf if point[name] is None else point[name] for name in ("gain_up", "gain_down", "delay"))
-    return {
-        **point, "Np": int(point["Np"]), "Nc": int(point["Nc"]), "gain_up": up, "gain_down": down,
-        "delay": 1000.0 * delay, "ratio": point["R"] / point["Q"] if point["Q"] > 0.0 else math.inf,
-    }  # fmt: skip
+    columns = [*CERTIFICATE_COLUMNS[:2], *varied, *CERTIFICATE_COLUMNS[2:]]
+    unstable = select_entries(rows, ["radius"], lambda row: row["radius"] is None or row["radius"] >= 1.0)
+    title = f"{certificate.scheduler}: points with the smallest modulus margin"
+    note = "Only driving straight counts for the verdict; the hard turn is a warning."
+    return ResultTable("worst", title, columns, rows, note, "part", alert=unstable, brief=True)
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
@@ -213,7 +185,7 @@ def _modulus(certificate: Certificate, least: float) -> Picture:
                 len(certificate.speeds), -1
             )
             low, high = margin.min(axis=1), margin.max(axis=1)
-            marks.draw_ribbon(axes, certificate.speeds, low, high, stroke["color"])
+            axes.fill_between(certificate.speeds, low, high, color=stroke["color"], **marks.BAND)
             axes.plot(certificate.speeds, low, **stroke, **dots)
         axes.axhline(0.0, linewidth=0.9, **marks.SHARED_STROKE)
         axes.set(xlabel="Speed (m/s)", ylabel="Modulus margin (–)")
@@ -282,14 +254,9 @@ def _map(
     beyond = "both" if below and above else "min" if below else "max" if above else "neither"
     bar = replace(scale, label="", beyond=beyond)  # type: ignore[arg-type]
 
-    def draw(axes: Axes) -> None:
-        cells = np.clip(values, scale.low, scale.high).T
-        marks.draw_heat_map(
-            axes, marks.edges_around(certificate.speeds), marks.edges_around(certificate.frictions), cells, bar
-        )
-        i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
-        crosses = certificate.speeds[i], certificate.frictions[j]
-        marks.draw_dots(axes, *crosses, marks.SERIES[1], "x", 4.5, markeredgewidth=1.5, scalex=False, scaley=False)
-        axes.set(xlabel="Speed (m/s)", ylabel="Friction (–)")
-
-    return Panel(scale.label, draw, f"{number(low)} to {number(high)}.")
+    i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
+    edges = marks.edges_around(certificate.speeds), marks.edges_around(certificate.frictions)
+    return marks.speed_map(
+        scale.label, edges, np.clip(values, scale.low, scale.high).T, bar, "Friction (–)",
+        f"{number(low)} to {number(high)}.", crosses=(certificate.speeds[i], certificate.frictions[j]),
+    )  # fmt: skip

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, best_entries, select_entries
 from adaptrack.comparison.config import about_contender
 from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison, driver_rows, standing_rows
@@ -145,18 +145,8 @@ def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
     ]
     columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
     failed = select_entries(table_rows, ["failures"], lambda row: row["failures"] > 0)
-    best = best_cells(table_rows, BEST_VALUES)
+    best = best_entries(table_rows, BEST_VALUES)
     return ResultTable(profile, f"Controllers in profile {profile}", columns, table_rows, best=best, alert=failed)
-
-
-def best_cells(rows: Sequence[Row], best_values: Mapping[str, Callable[..., Any]]) -> frozenset[tuple[int, str]]:
-    """(row, column) of the best values, in columns that tell the contenders apart; best_values: as `BEST_VALUES`."""
-    cells = set()
-    for name, best in best_values.items():
-        values = [row[name] for row in rows if row[name] is not None]
-        if values and min(values) < max(values):
-            cells |= {(i, name) for i, row in enumerate(rows) if row[name] == best(values)}
-    return frozenset(cells)
 
 
 def console_table(profile: str, rows: Sequence[Row], comparison: Comparison) -> ResultTable:
@@ -176,8 +166,13 @@ def console_table(profile: str, rows: Sequence[Row], comparison: Comparison) -> 
 
 
 def failure_tables(compared: Compared) -> list[ResultTable]:
-    """Failed runs by car, the first failed runs, and contenders that were left out."""
-    return [_failures_by_car(compared), *_failed_runs_table(compared), *_left_out_table(compared)]
+    """Failed runs by car, the first failed runs if a run failed, and contenders that were left out."""
+    runs, tables = compared.failed_runs, [_failures_by_car(compared)]
+    note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
+    if runs:
+        first = runs[:MAX_FAILED_RUNS]
+        tables.append(ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, first, note, brief=True))
+    return tables + _left_out_table(compared)
 
 
 def _failures_by_car(compared: Compared) -> ResultTable:
@@ -200,14 +195,6 @@ def _failures_by_car(compared: Compared) -> ResultTable:
     return ResultTable(
         "failures", "Failed runs by car", [Column("label", "Controller"), *columns], rows, "", "profile", alert=alert
     )
-
-
-def _failed_runs_table(compared: Compared) -> list[ResultTable]:
-    """The first failed runs; none if no run failed."""
-    runs = compared.failed_runs
-    note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
-    table = ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, runs[:MAX_FAILED_RUNS], note, brief=True)
-    return [table] if runs else []
 
 
 def _left_out_table(compared: Compared) -> list[ResultTable]:
@@ -236,21 +223,22 @@ def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
 
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
-    panels = [_work_panel(profile, ranking) for profile, ranking in rows.items()]
+    """RMS error over the steering rate of the tuned contenders, a panel for each profile."""
+    panels = []
+    for profile, ranking in rows.items():
+        tuned = [row for row in ranking if row["tuning"] != "default"] or ranking
+        errors = (
+            f"{row['contender']}: {number(row['rms_error'])} m, {number(row['steering_rate'])} rad/s" for row in tuned
+        )
+        panels.append(Panel(f"Profile {profile}", partial(_draw_work, rows=tuned), f"{'; '.join(errors)}."))
     return Picture("work", "", panels, (), "work.png", 2, 3.0)
-
-
-def _work_panel(profile: str, ranking: Sequence[Row]) -> Panel:
-    rows = [row for row in ranking if row["tuning"] != "default"] or ranking
-    words = [f"{row['contender']}: {number(row['rms_error'])} m, {number(row['steering_rate'])} rad/s" for row in rows]
-    return Panel(f"Profile {profile}", partial(_draw_work, rows=rows), f"{'; '.join(words)}.")
 
 
 def _draw_work(axes: Axes, rows: Sequence[Row]) -> None:
     rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
     for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
         colour, at_left = contender_colour(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
-        marks.draw_dots(axes, [rate], [error], colour)
+        axes.plot(rate, error, "o", color=colour, markersize=5.0, zorder=5)
         axes.annotate(
             data_text(row["contender"]), (rate, error), (rate / 1.06 if at_left else 1.06 * rate, height),
             ha="right" if at_left else "left", va="center", fontsize=6.5, color=colour,
@@ -290,7 +278,7 @@ def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[s
     def draw(axes: Axes) -> None:
         for place, (contender, values) in enumerate(rows):
             colour, mean = contender_colour(table.role(contender).controller), float(values.mean())
-            marks.draw_dots(axes, values, np.full(len(values), place), colour, size=3.5, alpha=0.6)
+            axes.plot(values, np.full(len(values), place), "o", color=colour, markersize=3.5, alpha=0.6, zorder=5)
             axes.plot([mean, mean], [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
         fastest = max(float(values.max()) for _, values in rows) or 1.0
         axes.set(xlabel=f"Entry speed (km/h), profile {profile}", xlim=(-0.02 * fastest, 1.04 * fastest))
@@ -322,7 +310,11 @@ def compare_drivers_result(compared: Compared) -> Result:
         kind="compare-drivers",
         title=f"{counted(len(task.contenders), 'controller')} with {counted(len(task.drivers), 'driver')} on "
         f"{counted(len(task.cars), 'car')} and {counted(len(task.roads), 'road')}",
-        answer="\n".join(_drivers_headline(condition, rows[condition]) for condition in rows),
+        answer="\n".join(
+            f"Profile {condition}: {sum(row['failures'] for row in drivers)} of "
+            f"{counted(sum(row['runs'] for row in drivers), 'run')} failed."
+            for condition, drivers in rows.items()
+        ),
         record=comparison_record(compared, rows),
         tables=[*(table for name in rows for table in _driver_tables(name, rows[name])), *failure_tables(compared)],
         notes=[
@@ -334,11 +326,6 @@ def compare_drivers_result(compared: Compared) -> Result:
     )
 
 
-def _drivers_headline(condition: str, rows: Sequence[Row]) -> str:
-    failed, runs = (sum(row[name] for row in rows) for name in ("failures", "runs"))
-    return f"Profile {condition}: {failed} of {counted(runs, 'run')} failed."
-
-
 def _driver_tables(condition: str, rows: Sequence[Row]) -> list[ResultTable]:
     """A table of the drivers for each controller, or of the controllers if there is one driver."""
     name, group = ("controller", "driver") if len({row["driver"] for row in rows}) == 1 else ("driver", "controller")
@@ -346,13 +333,14 @@ def _driver_tables(condition: str, rows: Sequence[Row]) -> list[ResultTable]:
     for member in dict.fromkeys(row[group] for row in rows):
         table_rows = [{**row, "label": row[name]} for row in rows if row[group] == member]
         columns = [column for column in DRIVER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
-        complete_rows = [dict.fromkeys(row) if row["failures"] else row for row in table_rows]
         tables.append(
             ResultTable(
                 f"{condition} {member}",
                 f"Profile {condition}, {group} {member}; {counted(table_rows[0]['runs'], 'run')} each",
                 [Column("label", name), *columns], table_rows,
-                best=best_cells(complete_rows, {column.name: min for column in columns}),
+                best=best_entries(
+                    table_rows, {column.name: min for column in columns}, competes=lambda row: not row["failures"]
+                ),
                 alert=select_entries(table_rows, ["failures"], lambda row: row["failures"] > 0), brief=True,
             )
         )  # fmt: skip
@@ -375,21 +363,19 @@ def _drivers_picture(condition: str, rows: Sequence[Row]) -> Picture:
 
 
 # -- costs of contenders ----------------------------------------------------------------------------------------------
-_ADAPTIVE, _CONSTANT, _HINDSIGHT = marks.SERIES[0], marks.SERIES[1], marks.MUTED
-"""Colours of contenders that adapt their tuning, that keep one, and that need hindsight."""
-
-
 def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Picture:
     """Each contender's cost over the reference's, the cheapest first; called: names contenders as tables do.
 
     The reference itself is drawn only if there is no other contender.
     """
-    rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
-    dots = [
-        marks.Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],
-            _role_colour(comparison, row["contender"]), row["failures"] > 0)
-        for row in rows if row["contender"] != comparison.reference
-    ] or [marks.Dot(called(comparison.reference), 1.0)]  # fmt: skip
+    dots = []
+    for row in sorted(comparison.rows(), key=lambda row: row["regret_geomean"]):
+        role, interval = comparison.role(row["contender"]), (row["regret_low"], row["regret_high"])
+        colour = marks.MUTED if role.hindsight else marks.SERIES[0 if role.adapts else 1]
+        if row["contender"] != comparison.reference:
+            name, failed = called(row["contender"]), row["failures"] > 0
+            dots.append(marks.Dot(name, row["regret_geomean"], *interval, colour, failed))
+    dots = dots or [marks.Dot(called(comparison.reference), 1.0)]
     label = f"Cost / {called(comparison.reference)}"
     caption = (
         f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
@@ -397,8 +383,3 @@ def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Pict
     )
     words = f"{label}, geometric mean and 95 % interval"
     return marks.dots_picture("verdict", caption, dots, data_text(label), words, 1.0)
-
-
-def _role_colour(comparison: Comparison, contender: str) -> str:
-    role = comparison.role(contender)
-    return _HINDSIGHT if role.hindsight else _ADAPTIVE if role.adapts else _CONSTANT

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,7 +16,6 @@ from adaptrack.base.result import Column, Result, ResultTable, Row
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
 PLAIN_WIDTH = 140
 """Width in letters if standard output is not a terminal; every table of numbers fits 80."""
@@ -25,22 +26,18 @@ _NAME, _WRAPPED = 40, 16
 def print_result(result: Result, page: Path | None = None) -> None:
     """Print the answer, the brief tables, the notes, the path of the page and the next step."""
     say(result.answer)
-    print_tables(result.tables)
+    for table in result.tables:
+        if table.brief and table.rows:
+            names = [column.name for column in table.columns] if table.brief is True else table.brief
+            print_table(replace(table, columns=[column for column in table.columns if column.name in names]))
+            if table.note:
+                say(table.note)
     for note in result.notes:
         say(f"Note: {note}")
     if page is not None:
         say(f"Page: {page}")
     if result.next_step:
         say(result.next_step)
-
-
-def print_tables(tables: Sequence[ResultTable]) -> None:
-    """Print the brief tables, each with its note below."""
-    for table in tables:
-        if table.brief and table.rows:
-            print_table(table)
-            if table.note:
-                say(table.note)
 
 
 def say(text: str, aside: bool = False) -> None:
@@ -72,7 +69,7 @@ def written(value: Any, column: Column) -> str:
 
 
 def print_table(table: ResultTable) -> None:
-    """Print a table with a line of titles and units; numbers are aligned to the right.
+    """Print a table with a line of titles and units, and the name of each group; numbers are aligned to the right.
 
     Columns that are too many for the width go below, beside the names again: no number is cut or left out.
     """
@@ -80,9 +77,13 @@ def print_table(table: ResultTable) -> None:
 
     console = _console()
     console.print(Text(printable(table.title, keep="\n")))
-    for part in _parts(table.columns, table.rows, console.width):
-        console.print(_grid(part, table.rows))
-        console.print()
+    for name, group in itertools.groupby(table.rows, lambda row: row.get(table.group)):
+        rows = list(group)
+        if name is not None:
+            console.print(Text(printable(str(name))))
+        for part in _parts(table.columns, rows, console.width):
+            console.print(_grid(part, rows))
+            console.print()
 
 
 def _grid(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
@@ -92,10 +93,11 @@ def _grid(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
 
     grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
-        values = [row[column.name] for row in rows if row[column.name] is not None]
-        numbers = all(isinstance(value, int | float) for value in values)
-        least = min(_NAME, max(map(len, map(str, values)), default=0)) if column is columns[0] else None
-        grid.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
+        numbers = all(isinstance(row[column.name], int | float | None) for row in rows)
+        least = min(_NAME, _needed(column, rows)) if column is columns[0] else None
+        grid.add_column(
+            Text(_heading(column)), overflow="fold", justify="right" if numbers else "left", min_width=least
+        )
     for row in rows:
         grid.add_row(*(Text(written(row[column.name], column)) for column in columns))
     return grid
@@ -108,8 +110,9 @@ def _parts(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[l
     parts: list[list[Column]] = [[names]]
     used = first
     for i, column in enumerate(value_columns):
+        is_text = any(isinstance(row[column.name], str) for row in rows)
         last = i == len(value_columns) - 1 and len(parts) == 1  # text at the end of a line may wrap
-        needed = min(_needed(column, rows), _WRAPPED if last and _is_text(column, rows) else _NAME) + 2
+        needed = min(_needed(column, rows), _WRAPPED if last and is_text else _NAME) + 2
         if used + needed > width and len(parts[-1]) > 1:
             parts.append([names])
             used = first
@@ -120,17 +123,11 @@ def _parts(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[l
 
 def _needed(column: Column, rows: Sequence[Row]) -> int:
     """The width of a column in letters."""
-    return max(map(len, [*_heading(column).plain.split("\n"), *(written(row[column.name], column) for row in rows)]))
+    return max(map(len, [*_heading(column).split("\n"), *(written(row[column.name], column) for row in rows)]))
 
 
-def _is_text(column: Column, rows: Sequence[Row]) -> bool:
-    return any(isinstance(row[column.name], str) for row in rows)
-
-
-def _heading(column: Column) -> Text:
-    from rich.text import Text
-
-    return Text(f"{column.title}\n({column.unit})" if column.unit else column.title)
+def _heading(column: Column) -> str:
+    return f"{column.title}\n({column.unit})" if column.unit else column.title
 
 
 def _console(aside: bool = False) -> Console:

@@ -150,7 +150,9 @@ def histogram(target: TuningTarget) -> Panel:
     counts, _ = np.histogram(target.values, edges)
 
     def draw(axes: Axes) -> None:
-        marks.draw_bars(axes, edges, 100.0 * counts / target.values.size)
+        shares = 100.0 * counts / target.values.size
+        axes.bar((edges[:-1] + edges[1:]) / 2.0, shares, 0.9 * np.diff(edges), color=marks.SERIES[0])
+        axes.grid(False, axis="x")
         axes.axvline(target.standard, linewidth=1.0, **marks.REFERENCE_STROKE)
         axes.set(xlabel=target.label, ylabel="Operating points (%)")
         axes.margins(x=0.03)
@@ -168,7 +170,7 @@ def gain_panel(rows: DataSet) -> Panel:
 
     def draw(axes: Axes) -> None:
         axes.axhline(1.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
-        marks.draw_ribbon(axes, middles, low, high)
+        axes.fill_between(middles, low, high, color=marks.SERIES[0], **marks.BAND)
         axes.plot(middles, median, color=marks.SERIES[0], marker="o", markersize=3.5)
         axes.set(xlabel="Speed (m/s)", ylabel="Cost ratio (–)")
         axes.margins(x=0.02)
@@ -198,11 +200,7 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
     low, high = float(target.values.min()), float(target.values.max())
     scale = marks.ColourScale(low, high if high > low else low + 1.0, integer=target.integer)
 
-    def draw(axes: Axes) -> None:
-        marks.draw_heat_map(axes, x_edges, y_edges, medians, scale)
-        axes.set(xlabel="Speed (m/s)", ylabel=label)
-
-    return Panel(target.label, draw, f"Medians {span(medians)}.")
+    return marks.speed_map(target.label, (x_edges, y_edges), medians, scale, label, f"Medians {span(medians)}.")
 
 
 def _bin_edges(values: Array) -> Array:

@@ -6,17 +6,17 @@ import dataclasses
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import safe_names
-from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, select_entries
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, best_entries, select_entries
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import Metrics, compute_metrics, published_mse
@@ -28,18 +28,6 @@ from adaptrack.results.marks import strokes
 from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, above_picture, on_road
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario.profile import load_profile
-
-_PAPER_FIGURES = {
-    "triple-lane-change": {"speed": "6(a)", "conditions": "7", "tracking": "8"},
-    "general-trajectory": {"speed": "6(b)", "conditions": "9", "tracking": "10"},
-}
-"""The paper's figures of its two tests."""
-
-TRACKING_CAPTION = "Position or speed, tracking error, angle of the front wheels, yaw rate or lateral acceleration. \
-Cross: failure. Grey: steering command."
-CONDITIONS_CAPTION = "Lateral wind, friction and variable tuning. Black: equal for all runs."
-SPEED_CAPTION = "Speed: reference (dashed) and actual speed."
-ERROR_CAPTION = "Tracking error over time."
 
 
 @dataclass(frozen=True)
@@ -60,19 +48,29 @@ class Run:
     plan: SpeedPlan | None = None
     """Plan that a driver followed along the road; with it, the page has speed error, lost time and stops."""
 
+    @cached_property
+    def measures(self) -> Metrics:
+        """Measures of the run."""
+        outline = None if self.car is DEFAULT_DRAWN_CAR else self.car.outline
+        return self.metrics or compute_metrics(self.trajectory, outline=outline)
 
-@dataclass(frozen=True)
-class Shown:
-    """A run with its label and its measures."""
+    @cached_property
+    def drive(self) -> DriveRecord | None:
+        """The run along its road, for the map and the replay."""
+        if self.road is None:
+            return None
+        return DriveRecord.from_trajectory(self.trajectory, self.road, self.car, self.predicted)
 
-    label: str
-    trajectory: Trajectory
-    metrics: Metrics
-    drive: DriveRecord | None = None
-    """The run along its road, for the map and the replay."""
-    following: Row = field(default_factory=dict)
-    """Measures of how the speed plan was followed (`speed_measures`); empty where no driver followed one."""
-    stops: Sequence[StopMeasure] = ()
+    @cached_property
+    def following(self) -> Row:
+        """Measures of how the speed plan was followed (`speed_measures`); empty without a plan."""
+        is_planned = self.road is not None and self.plan is not None
+        return speed_measures(self.trajectory, self.road, self.plan) if is_planned else {}  # type: ignore[arg-type]
+
+    @cached_property
+    def stops(self) -> Sequence[StopMeasure]:
+        """Stops of the speed plan; none without a plan."""
+        return () if self.plan is None else measure_stops(self.trajectory, self.plan)
 
 
 def drive_result(
@@ -102,7 +100,7 @@ def drive_result(
     labelled_runs = [run for group in scenarios.values() for run in group]
     line_styles = strokes(run.label for run in labelled_runs)
     stems = dict(zip(scenarios, safe_names(map(words.slug, scenarios)), strict=True))
-    failed = [_failure(run) for run in labelled_runs if run.metrics.failed]
+    failed = [_failure(run) for run in labelled_runs if run.measures.failed]
     first = labelled_runs[0].trajectory
     return Result(
         kind="drive",
@@ -119,7 +117,12 @@ def drive_result(
         headline=_failure_headline(failed, len(labelled_runs)),
         values={
             "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
-            "failed_runs": failed, "shown": labelled_runs, "records": _records(labelled_runs),
+            "failed_runs": failed, "shown": labelled_runs,
+            "records": json.dumps({
+                f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta
+                for i, run in enumerate(labelled_runs, 1)
+            }, indent=1, ensure_ascii=False),
+            "drives": {run.label: run.drive for run in labelled_runs if run.drive is not None},
             "limits": {"slow": MIN_JUDGED_SPEED, "distance": DISTANCE, "creeping": run_pictures.CREEPING,
                        "road_weight": load_profile("road").move_weight},
         },
@@ -147,20 +150,13 @@ def write_drive_page(
     StorageError
         When the files cannot be written, see `page.write_result`.
     """
-    return write_page(out_dir, drive_result(runs, title=title, command=command), png=png)
-
-
-def write_page(out_dir: str | os.PathLike[str], result: Result, *, png: bool = True) -> Path:
-    """Write the page of a `drive_result`, with the replay of runs along a road; return its path."""
     from adaptrack.results.page import write_result
-    from adaptrack.results.replay import replay
 
-    drives = _drives(result.values["shown"])
-    return write_result(out_dir, result, png=png, embedded={"replay": replay(drives)} if drives else None)
+    return write_result(out_dir, drive_result(runs, title=title, command=command), png=png)
 
 
 # -- groups -----------------------------------------------------------------------------------------------------------
-def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
+def group_runs(runs: Sequence[Run]) -> dict[str, list[Run]]:
     """Group runs by scenario, in their order, with measures and distinct labels."""
     groups: dict[str, list[Run]] = {}
     for run in runs:
@@ -168,54 +164,45 @@ def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
     return {name: _labelled(group) for name, group in groups.items()}
 
 
-def _labelled(runs: Sequence[Run]) -> list[Shown]:
+def _labelled(runs: Sequence[Run]) -> list[Run]:
     """Prepare the runs of one scenario, with distinct labels."""
     labels = [words.legible(run.label) or words.controller_name(run.trajectory.name_of("controller")) for run in runs]
     numbered = [
         f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label
         for i, label in enumerate(labels)
     ]
-    return list(map(_prepare_run, numbered, runs))
-
-
-def _prepare_run(label: str, run: Run) -> Shown:
-    trajectory = run.trajectory if run.road is None else on_road(run.trajectory, run.road)
-    outline = None if run.car is DEFAULT_DRAWN_CAR else run.car.outline
-    metrics = run.metrics or compute_metrics(trajectory, outline=outline)
-    if run.road is None:
-        return Shown(label, trajectory, metrics)
-    drive = DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
-    if run.plan is None:
-        return Shown(label, trajectory, metrics, drive)
-    following = speed_measures(trajectory, run.road, run.plan)
-    return Shown(label, trajectory, metrics, drive, following, measure_stops(trajectory, run.plan))
+    trajectories = [run.trajectory if run.road is None else on_road(run.trajectory, run.road) for run in runs]
+    return [
+        replace(run, label=label, trajectory=trajectory)
+        for run, label, trajectory in zip(runs, numbered, trajectories, strict=True)
+    ]
 
 
 # -- headlines --------------------------------------------------------------------------------------------------------
-def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
+def _title(scenarios: Mapping[str, Sequence[Run]]) -> str:
     """Return the names of scenarios and controllers, or their number if there are many."""
     labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
     return f"{words.few([words.title_of(name) for name in scenarios], 'scenario')}: {words.few(labels, 'controller')}"
 
 
-def _answer(runs: Sequence[Shown]) -> str:
+def _answer(runs: Sequence[Run]) -> str:
     """Describe the run with the smallest RMS error; for several scenarios, give the largest error of all runs."""
-    completed = [run for run in runs if not run.metrics.failed]
+    completed = [run for run in runs if not run.measures.failed]
     failed = f"{len(runs) - len(completed)} of {len(runs)} runs failed."
     if not completed:
         return failed
-    best = min(completed, key=lambda run: run.metrics.mse)
-    errors = f"{words.length(best.metrics.rms_error)} RMS error, largest {words.length(best.metrics.max_abs_error)}."
+    best = min(completed, key=lambda run: run.measures.mse)
+    errors = f"{words.length(best.measures.rms_error)} RMS error, largest {words.length(best.measures.max_abs_error)}."
     if best.following:
         errors += f" {_speed_answer(best)}"
     if len(runs) == 1:
         return errors
     if len({run.trajectory.name_of("scenario") for run in runs}) > 1:
-        return f"Largest error {words.length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
+        return f"Largest error {words.length(max(run.measures.max_abs_error for run in completed))}. {failed}"
     return f"{best.label}: {errors} {failed}"
 
 
-def _speed_answer(run: Shown) -> str:
+def _speed_answer(run: Run) -> str:
     """Give speed error, stops and lost time of a run that followed a speed plan."""
     errors, speed, lost = [abs(stop.error) for stop in run.stops], *map(run.following.get, ("speed_error", "time_lost"))
     missed = sum(map(math.isnan, errors))
@@ -228,11 +215,11 @@ def _speed_answer(run: Shown) -> str:
     return f"{'; '.join(parts)}." if parts else ""
 
 
-def _failure(run: Shown) -> dict[str, str]:
+def _failure(run: Run) -> dict[str, str]:
     """Return name, time and reason of a failed run."""
     where = "" if run.drive is None else f", at s = {words.number(float(run.drive.run.road['station'][-1]), 4)} m"
     name = f"{words.title_of(run.trajectory.name_of('scenario'))}, {run.label}"
-    return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
+    return {"name": name, "at": f"{run.measures.failed_at:.1f} s{where}", "because": run.measures.failed_because}
 
 
 def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
@@ -243,24 +230,19 @@ def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def _drives(runs: Sequence[Shown]) -> dict[str, DriveRecord]:
-    return {run.label: run.drive for run in runs if run.drive is not None}
-
-
 def _pictures(
-    scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], line_styles: run_pictures.Strokes
+    scenarios: Mapping[str, Sequence[Run]], stems: Mapping[str, str], line_styles: run_pictures.Strokes
 ) -> list[Picture]:
     """Draw the main picture (map of the road, or error in the first scenario), then pictures of all signals."""
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
-    drives = _drives([run for group in scenarios.values() for run in group])
+    drives = {run.label: run.drive for group in scenarios.values() for run in group if run.drive is not None}
     first = next(iter(groups.values()))
     error = replace(run_pictures.error_panel(run_pictures.prepare_runs(first, line_styles)), title="")
     key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
-    pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
+    pictures = [above_picture(drives) if drives else Picture("verdict", "", [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):
-        caption = _cite(SPEED_CAPTION, "6" if len(scenarios) > 1 else _paper_figure(first, "speed"))
         speeds = {words.title_of(name): runs for name, runs in groups.items()}
-        pictures.append(run_pictures.speed_picture(speeds, line_styles, caption))
+        pictures.append(run_pictures.speed_picture(speeds, line_styles))
     for name, runs in groups.items():
         pictures += _signal_pictures(runs, line_styles, stems[name])
     return pictures
@@ -268,12 +250,10 @@ def _pictures(
 
 def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: run_pictures.Strokes, stem: str) -> list[Picture]:
     """Draw tracking, conditions and learned quantities of the runs of one scenario or road."""
-    caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
-    pictures = [run_pictures.tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
+    pictures = [run_pictures.tracking_picture(runs, line_styles, f"{stem}-tracking")]
     if any("governed_speed" in run.diagnostics for run in runs.values()):
         pictures.append(run_pictures.speed_control_picture(runs, line_styles, f"{stem}-speed"))
-    caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
-    conditions = run_pictures.conditions_picture(runs, line_styles, f"{stem}-conditions", caption)
+    conditions = run_pictures.conditions_picture(runs, line_styles, f"{stem}-conditions")
     if conditions.panels[2:] or not any(run.road for run in runs.values()):
         pictures.append(conditions)
     if any(run_pictures.learned_quantities(run) for run in runs.values()):
@@ -281,47 +261,14 @@ def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: run_pictures.S
     return pictures
 
 
-def _paper_figure(runs: Mapping[str, Trajectory], kind: str) -> str:
-    """Return the number of the paper's figure of this kind; empty for scenarios outside the paper."""
-    return _PAPER_FIGURES.get(next(iter(runs.values())).name_of("scenario"), {}).get(kind, "")
-
-
-def _cite(caption: str, figure: str) -> str:
-    return f"{caption} Same quantities as figure {figure} of the paper." if figure else caption
-
-
 # -- the page ---------------------------------------------------------------------------------------------------------
-def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
+def _section(name: str, group: Sequence[Run], stem: str) -> dict[str, Any]:
     """Return name and conditions of the page section on one scenario or road."""
-    runs, drive = [run.trajectory for run in group], group[0].drive
-    wind = np.concatenate([run.wind for run in runs])
-    first = runs[0]
-    periods = f"{words.number(len(first))} control periods of {first.period:g} s"
+    runs = [run.trajectory for run in group]
     conditions = {
-        "Plant": ", ".join(filter(None, (first.name_of("plant"), first.name_of("tyre")))),
-        "Duration": f"{words.number(first.duration)} s, {periods}",
-        "Speed": f"{words.span(np.concatenate([run.vx for run in runs]))} m/s",
-        "Friction": words.span(np.concatenate([run.friction for run in runs])),
-        "Lateral wind": f"{words.span(wind[:, 1])} m/s",
-        "Longitudinal wind": f"{words.span(wind[:, 0])} m/s",
+        signal: np.concatenate([getattr(run, signal) for run in runs]) for signal in ("vx", "friction", "wind")
     }
-    if drive is not None:
-        conditions["Road"] = f"{words.number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
-        conditions |= {f"Road, note {i}": note for i, note in enumerate(drive.road.notes, 1)}
-        outline = drive.shape.outline
-        estimated = ", ".join(name.replace("_", " ") for name in outline.estimated) or "nothing"
-        conditions["Car outline"] = (
-            f"{words.number(outline.length)} by {words.number(outline.width)} m; estimated: {estimated}"
-        )
-    return {"name": name, "title": words.title_of(name), "conditions": list(conditions.items()), "stem": stem}
-
-
-def _records(runs: Sequence[Shown]) -> str:
-    """Return the full provenance of every run as JSON: scenario, profile, plant, car, controller and versions."""
-    records = {
-        f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(runs, 1)
-    }
-    return json.dumps(records, indent=1, ensure_ascii=False)
+    return {"name": name, "title": words.title_of(name), "stem": stem, "first": group[0], **conditions}
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -416,15 +363,9 @@ _TROUBLES = ("qp_capped", "qp_failed", "held")
 """Counts that should be zero."""
 
 
-def run_rows(runs: Sequence[Shown]) -> list[dict[str, Any]]:
-    """Return a row for each run of a scenario with its measures, its tuning and the paper's MSE."""
-    errors = [run.metrics.mse for run in runs if not run.metrics.failed]
-    smallest = min(errors) if errors and len(runs) > 1 else None
-    return [_row(run) | {"best": not run.metrics.failed and run.metrics.mse == smallest} for run in runs]
-
-
-def _row(run: Shown) -> dict[str, Any]:
-    metrics, paper = run.metrics, published_mse(run.trajectory)
+def _row(run: Run) -> dict[str, Any]:
+    """Return a row with the measures of a run, its tuning and the paper's MSE."""
+    metrics, paper = run.measures, published_mse(run.trajectory)
     row = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(metrics)}
     if "qp_status" not in run.trajectory.diagnostics:  # the controller solves no QP
         row |= dict.fromkeys(("qp_solved", "qp_capped", "qp_failed"))
@@ -432,15 +373,15 @@ def _row(run: Shown) -> dict[str, Any]:
         "label": run.label, "paper": paper, "ratio": None if paper is None else metrics.mse / paper,
         "dead_reckoning": metrics.dead_reckoning or None,
         "outcome": f"at {metrics.failed_at:.1f} s" if metrics.failed else "no",
-        "tuning": {name: _range(_driven_values(run.trajectory, name)) for name in run.trajectory.tuning},
+        "tuning": {name: _range(run.trajectory, name) for name in run.trajectory.tuning},
     }  # fmt: skip
 
 
-def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
+def scenario_tables(name: str, runs: Sequence[Run]) -> list[ResultTable]:
     """Return tables of tracking, effort, solver and learning state of the runs of one scenario or road."""
     entries = _entries(runs)
-    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in run_rows(runs)]
-    bold = select_entries(rows, ["mse", "rms_error"], lambda row: row["best"])
+    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in map(_row, runs)]
+    bold = best_entries(rows, {"mse": min, "rms_error": min}, competes=lambda row: not row["failed"])
     failed = select_entries(rows, ["outcome"], lambda row: row["failed"])
     tracking = [_CONTROLLER, *_with_values(TRACKING_COLUMNS, rows)]
     tracking += [Column(f"tuning {key}", key, unit, "given") for key, unit in entries.items()]
@@ -469,29 +410,52 @@ def _with_values(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]
     return [column for column in columns if column.name not in OPTIONAL_COLUMNS or column.name in present]
 
 
-def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
+def overview_table(scenarios: Mapping[str, Sequence[Run]]) -> ResultTable:
     """Return a table of the MSE of every controller on every scenario, and the paper's MSE."""
-    labels = list(dict.fromkeys(run.label for runs in scenarios.values() for run in runs))
-    rows: list[dict[str, Any]] = [{"label": label} for label in labels]
-    columns, best, failed = [_CONTROLLER], set(), set()
+    rows: dict[str, dict[str, Any]] = {}
+    columns = [_CONTROLLER]
     for name, runs in scenarios.items():
-        mse, paper = f"mse {name}", f"paper {name}"
-        measured = {row["label"]: row for row in run_rows(runs)}
-        columns.append(Column(mse, words.title_of(name), "MSE, m²", 3))
-        if any(row["paper"] is not None for row in measured.values()):
-            columns.append(Column(paper, "MSE in paper", "m²", "given"))
-        for i, label in enumerate(labels):
-            row = measured.get(label, {"mse": None, "paper": None, "failed": False, "best": False})
-            rows[i] |= {
-                mse: f"{words.number(row['mse'])} (failed)" if row["failed"] else row["mse"],
-                paper: row["paper"],
-            }
-            best |= {(i, mse)} if row["best"] else set()
-            failed |= {(i, mse)} if row["failed"] else set()
-    return ResultTable(
-        "overview", "Mean square error (MSE)", columns, rows, _BOLD if best else "", best=frozenset(best),
-        alert=frozenset(failed),
-    )  # fmt: skip
+        papers = {run.label: published_mse(run.trajectory) for run in runs}
+        columns.append(Column(f"mse {name}", words.title_of(name), "MSE, m²", 3))
+        if any(paper is not None for paper in papers.values()):
+            columns.append(Column(f"paper {name}", "MSE in paper", "m²", "given"))
+        for run in runs:
+            row = rows.setdefault(run.label, {"label": run.label})
+            row |= {f"mse {name}": run.measures.as_row(), f"paper {name}": papers[run.label]}
+    empty = dict.fromkeys(column.name for column in columns)
+    return errors_table(
+        "overview", "Mean square error (MSE)", columns, [empty | row for row in rows.values()], "", _BOLD
+    )
+
+
+def errors_table(
+    name: str, title: str, columns: Sequence[Column], rows: Sequence[Row], group: str = "", note: str = "",
+    competes: Callable[[Row], Any] = bool,
+) -> ResultTable:  # fmt: skip
+    """Return a table whose entries that are runs show their mean square error, the best of column and group in bold.
+
+    Runs have `mse`, `failed` (number of failed runs) and, if there are several, `runs`. competes: condition that runs
+    in bold must fulfil, in addition to that they did not fail.
+    """
+    runs = [{key: run for key, run in row.items() if isinstance(run, Mapping)} for row in rows]
+    errors = [
+        {group: row.get(group)} | {key: run["mse"] for key, run in cells.items() if not run["failed"] and competes(run)}
+        for row, cells in zip(rows, runs, strict=True)
+    ]
+    best = best_entries(errors, dict.fromkeys((column.name for column in columns), min), group)
+    failed = frozenset((i, key) for i, cells in enumerate(runs) for key, run in cells.items() if run["failed"])
+    table_rows = [
+        {**row, **{key: _error(run) for key, run in cells.items()}} for row, cells in zip(rows, runs, strict=True)
+    ]
+    return ResultTable(name, title, columns, table_rows, note if best else "", group, best, failed)
+
+
+def _error(run: Row) -> Any:
+    """The mean square error of a run, or the words that it failed, or how many of several failed."""
+    if not run["failed"]:
+        return run["mse"]
+    several = run.get("runs", 1) > 1
+    return f"failed, {run['failed']} of {run['runs']}" if several else f"{words.number(run['mse'])} (failed)"
 
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
@@ -501,21 +465,20 @@ def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     return ResultTable("console", title, DRIVE_COLUMNS, table_rows, brief=True)
 
 
-def _entries(runs: Iterable[Shown]) -> dict[str, str]:
+def _entries(runs: Iterable[Run]) -> dict[str, str]:
     """Return the tuning entries of the runs with their units in typographic form."""
     powers = str.maketrans("-23", "–²³")
     units = {name: run.trajectory.units[f"tuning.{name}"] for run in runs for name in run.trajectory.tuning}
     return {name: "" if unit == "-" else unit.replace("^", "").translate(powers) for name, unit in units.items()}
 
 
-def _driven_values(run: Trajectory, name: str) -> NDArray[Any]:
-    """Return the finite values of a tuning entry at instants with a command."""
-    values = np.asarray(run.tuning.get(name, np.full(len(run), np.nan)), dtype=float)[np.isfinite(run.command)]
-    return values[np.isfinite(values)]
+def _range(run: Trajectory, name: str) -> float | tuple[float, float] | None:
+    """Return the value of a constant tuning entry, or the range of a variable one; whole numbers as int.
 
-
-def _range(values: NDArray[Any]) -> float | tuple[float, float] | None:
-    """Return the value of a constant tuning entry, or the range of a variable one; whole numbers as int."""
+    Only finite values at instants with a command count.
+    """
+    values = np.asarray(run.tuning[name], dtype=float)
+    values = values[np.isfinite(run.command) & np.isfinite(values)]
     if not values.size:
         return None
     low, high = (int(end) if end.is_integer() else end for end in (float(values.min()), float(values.max())))

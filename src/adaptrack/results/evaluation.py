@@ -5,24 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries, strict
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, best_entries, select_entries, strict
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.compare import ratios_picture
-from adaptrack.results.marks import ColourScale, draw_heat_map
+from adaptrack.results.marks import ColourScale, speed_map
 from adaptrack.results.words import INPUT_LABELS, counted, data_text, number, plain, span, title_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Mapping[str, Comparison]]
@@ -105,34 +101,37 @@ def _runs(comparison: Comparison) -> int:
 # -- tables -----------------------------------------------------------------------------------------------------------
 def view_rows(views: Views) -> list[dict[str, Any]]:
     """One row for each contender in each view; constant_...: its cost over that of the best constant."""
-    return [
-        {"view": view, "scenario" if view == "tests" else "perception": name, "reference": comparison.reference, **row}
-        for view, comparisons in views.items()
-        for name, comparison in comparisons.items()
-        for row in strict([row | _over_constant(comparison, row["contender"]) for row in comparison.rows()])
-    ]
-
-
-def _over_constant(comparison: Comparison, contender: str) -> dict[str, float]:
-    ratio = comparison.ratio(contender, BEST_CONSTANT)
-    return {"constant_geomean": ratio.mean, "constant_low": ratio.low, "constant_high": ratio.high}
+    return strict(
+        [
+            {
+                "view": view,
+                "scenario" if view == "tests" else "perception": name,
+                "reference": comparison.reference,
+                **row,
+                "constant_geomean": ratio.mean,
+                "constant_low": ratio.low,
+                "constant_high": ratio.high,
+            }
+            for view, comparisons in views.items()
+            for name, comparison in comparisons.items()
+            for row in comparison.rows()
+            for ratio in [comparison.ratio(row["contender"], BEST_CONSTANT)]
+        ]
+    )
 
 
 def _table(view: str, comparisons: Mapping[str, Comparison]) -> ResultTable:
     """The contenders of a view, in groups by the knowledge of friction and wind or by test."""
-    rows: list[dict[str, Any]] = []
-    best: set[tuple[int, str]] = set()
-    for name, comparison in comparisons.items():
-        group = [_row(comparison, row, name) for row in comparison.rows()]
-        best |= {(len(rows) + i, column) for i, column in lowest(group, ("cost_geomean", "regret_geomean"))}
-        rows += group
+    rows = [_row(comparison, row, name) for name, comparison in comparisons.items() for row in comparison.rows()]
+    picks = {"cost_geomean": min, "regret_geomean": min}
+    best = best_entries(rows, picks, "group", lambda row: not row["hindsight"])
     columns = [column for column in EVALUATION_COLUMNS if any(row[column.name] is not None for row in rows)]
     several = "group" if len(comparisons) > 1 else ""
     first = next(iter(comparisons.values()))
     runs = "the paper's two" if view == "tests" else counted(_runs(first), NOUNS[view])
     title = f"{title_of(view)}: {runs}, regret to {contender_label(first.reference).lower()}"
     failed = select_entries(rows, ["failures"], lambda row: row["failures"] > 0)
-    return ResultTable(view, title, columns, rows, "", several, frozenset(best), failed, brief=True)
+    return ResultTable(view, title, columns, rows, "", several, best, failed, brief=True)
 
 
 def _row(comparison: Comparison, row: Row, group: str) -> dict[str, Any]:
@@ -143,12 +142,6 @@ def _row(comparison: Comparison, row: Row, group: str) -> dict[str, Any]:
         **row, "label": contender_label(contender), "group": title_of(group), "interval": interval,
         "hindsight": comparison.role(contender).hindsight, "fallback": row.get("fallback"),
     }  # fmt: skip
-
-
-def lowest(rows: Sequence[Row], columns: Sequence[str]) -> set[tuple[int, str]]:
-    """(row, column) of the lowest number in each column, without contenders that need hindsight."""
-    candidates = [i for i, row in enumerate(rows) if not row["hindsight"]]
-    return {(min(candidates, key=lambda i: rows[i][name]), name) for name in columns if len(candidates) > 1}
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
@@ -168,12 +161,9 @@ def regret_maps(comparison: Comparison) -> Picture:
     beyond = "max" if high > CEILING else "neither"
     scale = ColourScale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond=beyond)  # type: ignore[arg-type]
     panels = [
-        Panel(
-            data_text(contender_label(name)),
-            partial(_draw_map, cells=cells, label=quantities[quantity][1], scale=scale),
-            f"Geometric mean regret over speed and {quantity}: {span(cells[2])}.",
-        )
-        for (name, quantity), cells in maps.items()
+        speed_map(data_text(contender_label(name)), edges, cells, scale, quantities[quantity][1],
+                  f"Geometric mean regret over speed and {quantity}: {span(cells)}.")
+        for (name, quantity), (*edges, cells) in maps.items()
     ]  # fmt: skip
     return Picture("maps", "", panels, file="regret-map.png", row_height=1.75)
 
@@ -186,22 +176,12 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
         scale = shared_scale([surface[..., k] for surface in surfaces.values()], integer=k < 2)
         for name, schedule in schedules.items():
             label, input_unit = INPUT_LABELS[schedule.inputs[1]]
-            cells = schedule.domain[0], schedule.domain[1], surfaces[name][..., k]
-            panels.append(Panel(
-                f"{data_text(contender_label(name))}: {symbol} ({unit})",
-                partial(_draw_map, cells=cells, label=f"{label} ({input_unit})", scale=scale, image=True),
-                f"{plain(symbol)} over speed and {label.lower()}: {span(cells[2])}.",
-            ))  # fmt: skip
+            title, cells = f"{data_text(contender_label(name))}: {symbol} ({unit})", surfaces[name][..., k]
+            words = f"{plain(symbol)} over speed and {label.lower()}: {span(cells)}."
+            edges = schedule.domain[:2]
+            panels.append(speed_map(title, edges, cells, scale, f"{label} ({input_unit})", words, image=True))
     columns = len(schedules) if len(schedules) > 1 else len(OUTPUT_LABELS)
     return Picture("surfaces", "", panels, file="surfaces.png", columns=columns, row_height=2.1)
-
-
-def _draw_map(
-    axes: Axes, cells: tuple[Array, Array, Array], label: str, scale: ColourScale, image: bool = False
-) -> None:
-    """Draw values over speed and another quantity; cells: edges along both, and the values."""
-    draw_heat_map(axes, *cells, scale, image=image)
-    axes.set(xlabel="Speed (m/s)", ylabel=label)
 
 
 def shared_scale(values: Sequence[Array], integer: bool) -> ColourScale:

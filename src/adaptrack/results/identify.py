@@ -14,7 +14,7 @@ from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, R
 from adaptrack.identification import DriveIdentification, Estimate, Identification
 from adaptrack.identification.loop_check import LoopCheck
 from adaptrack.identification.quantities import degrees_per_g
-from adaptrack.results.marks import DASHED, MUTED, SERIES, ColourScale, draw_bars, draw_dots, draw_heat_map, make_stroke
+from adaptrack.results.marks import DASHED, MUTED, SERIES, ColourScale, Stroke, speed_map
 from adaptrack.results.run_pictures import turning_part
 from adaptrack.results.words import capital, number
 
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 IntervalEnds = tuple[float, float]
-_MEASURED, _SIMULATED, _BOUND = make_stroke(SERIES[0]), make_stroke(SERIES[1]), make_stroke(MUTED, DASHED)
+_MEASURED: Stroke = {"color": SERIES[0], "linestyle": "-"}
+_SIMULATED: Stroke = {"color": SERIES[1], "linestyle": "-"}
 _SECONDS = 30.0
 """Length of the part of the log in the first picture (s)."""
 _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m": ("°/g", degrees_per_g(1.0)),
@@ -65,7 +66,8 @@ def identification_result(identification: Identification, command: str = "") -> 
         failed=not (identification.consistent and checked.simulated > 0.5),
         headline="" if identification.consistent else "Not consistent",
         values={
-            "checked": checked, "log": log, "believed": identification.believed, "rate": 1.0 / log.period,
+            "checked": checked, "log": log, "drawn_seconds": _SECONDS, "rate": 1.0 / log.period,
+            "believed": identification.believed,
             "findings": [f"{capital(finding)}." for finding in findings],
             "reasons": [f"{capital(reason)}." for reason in identification.reasons],
             "first": [_estimate_row(identification[name]) for name in _FIRST if name in identification.estimates],
@@ -120,14 +122,12 @@ def _tables(identification: Identification) -> list[ResultTable]:
     ]  # all others keep their initial values
     rows = [_estimate_row(estimate) for estimate in estimates]
     title = f"{log.driven_time:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
+    best = select_entries(rows, ["value"], lambda row: True)
+    brief = [column.name for column in ESTIMATE_COLUMNS]
     return [
-        ResultTable("console", title, ESTIMATE_COLUMNS, rows, brief=True),
-        ResultTable(
-            "quantities", "Quantities with their 90 % intervals", QUANTITY_COLUMNS, rows,
-            best=select_entries(rows, ["value"], lambda row: True),
-        ),
+        ResultTable("quantities", f"Quantities from {title}", QUANTITY_COLUMNS, rows, best=best, brief=brief),
         *_log_tables(identification),
-    ]  # fmt: skip
+    ]
 
 
 def drive_identification_result(identification: DriveIdentification) -> Result:
@@ -174,14 +174,9 @@ def _measured_and_simulated(identification: Identification) -> Picture:
         axes.plot(series.time[part], series.simulated[part], **_SIMULATED)
         axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
 
-    panel = Panel(
-        "Yaw rate", draw, "Measured yaw rate, and simulation from the command alone, in the part with the most turning."
-    )
-    caption = (
-        f"The {_SECONDS:.0f} s with the most turning. The simulation uses only the command; slow differences come from "
-        "wind and road."
-    )
-    return Picture("yaw_rate", caption, [panel], [("measured", _MEASURED), ("simulated", _SIMULATED)])
+    words = "Measured yaw rate, and simulation from the command alone, in the part with the most turning."
+    key = [("measured", _MEASURED), ("simulated", _SIMULATED)]
+    return Picture("yaw_rate", "", [Panel("Yaw rate", draw, words)], key)
 
 
 def _residuals(identification: Identification) -> Picture:
@@ -189,33 +184,29 @@ def _residuals(identification: Identification) -> Picture:
     bound = 2.0 / math.sqrt(max(int(np.isfinite(series.innovations).sum()), 1))
 
     def draw_errors(axes: Axes) -> None:
-        draw_dots(axes, series.time, series.innovations, marker=".", size=1.2)
+        axes.plot(series.time, series.innovations, ".", color=SERIES[0], markersize=1.2, zorder=5)
         _draw_bounds(axes, 2.0)
         axes.set(xlabel="Time (s)", ylabel="Error/σ")
 
     def draw_correlation(axes: Axes) -> None:
-        draw_bars(axes, np.arange(len(correlation) + 1) + 0.5, correlation, fill=0.6)
+        axes.bar(np.arange(len(correlation)) + 1, correlation, 0.6, color=SERIES[0])
+        axes.grid(False, axis="x")
         _draw_bounds(axes, bound)
         axes.set(xlabel="Lag (samples)", ylabel="Autocorrelation", ylim=(-0.3, 0.3))
 
-    panels = [
-        Panel("One-step errors", draw_errors, "One-step errors of the yaw rate, divided by their standard deviation."),
-        Panel(
-            "Autocorrelation of the errors",
-            draw_correlation,
-            "Autocorrelation at lags 1 to 5 with the bounds of white noise.",
-        ),
-    ]
-    return Picture(
-        "residuals",
-        "One-step prediction errors in standard deviations. Dashed: ±2σ, and the bounds for white noise.",
-        panels,
+    errors, lags = (
+        "One-step errors of the yaw rate, divided by their standard deviation.",
+        "Autocorrelation at lags 1 to 5 with the bounds of white noise.",
     )
+    panels = [
+        Panel("One-step errors", draw_errors, errors), Panel("Autocorrelation of the errors", draw_correlation, lags)
+    ]  # fmt: skip
+    return Picture("residuals", "", panels)
 
 
 def _draw_bounds(axes: Axes, bound: float) -> None:
     for level in (-bound, bound):
-        axes.axhline(level, linewidth=0.8, **_BOUND)
+        axes.axhline(level, linewidth=0.8, color=MUTED, linestyle=DASHED)
 
 
 def _excited(identification: Identification) -> Picture:
@@ -225,23 +216,16 @@ def _excited(identification: Identification) -> Picture:
     seconds = np.where(counts > 0.0, counts * log.period, np.nan)
     scale = ColourScale(float(np.nanmin(seconds)), float(np.nanmax(seconds)), "Time (s)", log=True)
 
-    def draw_time(axes: Axes) -> None:
-        draw_heat_map(axes, speeds, angles, seconds.T, scale)
-        axes.set(xlabel="Speed (m/s)", ylabel="Wheel angle (°)")
-
     def draw_acceleration(axes: Axes) -> None:
-        draw_dots(axes, log.speed, log.speed * log.yaw_rate, marker=".", size=1.2)
+        axes.plot(log.speed, log.speed * log.yaw_rate, ".", color=SERIES[0], markersize=1.2, zorder=5)
         axes.set(xlabel="Speed (m/s)", ylabel="Speed × yaw rate (m/s²)")
 
     longest = f"Recorded time at each speed and wheel angle, up to {number(scale.high)} s."
     panels = [
-        Panel("Speed and steering", draw_time, longest),
+        speed_map("Speed and steering", (speeds, angles), seconds.T, scale, "Wheel angle (°)", longest),
         Panel("Lateral acceleration", draw_acceleration, "Speed times yaw rate, for each speed."),
     ]
-    caption = (
-        "Excitation of the log. Stiffness needs steering at high speed; the delay needs quick steering at any speed."
-    )
-    return Picture("excited", caption, panels)
+    return Picture("excited", "", panels)
 
 
 # -- contradictory inputs ---------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 from adaptrack.base.files import safe_names
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.comparison.entry_speed import LANE_CHANGES, EntrySpeed
-from adaptrack.results.marks import BACKGROUND_STROKE, INK, SERIES, draw_dots
+from adaptrack.results.marks import BACKGROUND_STROKE, INK, SERIES
 from adaptrack.results.words import data_text
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ _NOTE = (
     "speed, with different seeds. Friction 0.9."
 )
 
+CAPTION = "Cones, lanes, and what the corners of the car swept."
 ROAD_BEFORE, ROAD_BEHIND = 12.0, 14.0
 """m, of road shown before the first and behind the last cones."""
 OUTLINE_DISTANCE = 6.0
@@ -59,7 +60,7 @@ def lane_change_result(name: str, runs: Sequence[EntrySpeed]) -> Result:
         record={"lane_change": name, "tuned_at": tuned_at, "rows": rows},
         tables=[_table(rows)],
         pictures=[
-            lane_change_picture(_fastest_runs(group), f"{file}.png")
+            Picture(file, CAPTION, list(map(_panel, _fastest_runs(group))), (), f"{file}.png", 1, row_height=1.35)
             for file, group in zip(files, tests.values(), strict=True)
         ],
     )
@@ -94,17 +95,14 @@ def _fastest_runs(runs: Sequence[EntrySpeed]) -> list[EntrySpeed]:
     return list(fastest.values())
 
 
-def lane_change_picture(runs: Sequence[EntrySpeed], file: str) -> Picture:
-    """A panel for each controller on one track: cones, lanes, paths of the corners for all seeds, some outlines.
+def _panel(run: EntrySpeed) -> Panel:
+    """A controller on a track: cones, lanes, paths of the corners for all seeds, some outlines.
 
     The speed shown is the highest up to which all drives are clean; where none is clean, the lowest of the grid.
     """
-    caption = "Cones, lanes, and what the corners of the car swept."
-    return Picture(file.removesuffix(".png"), caption, list(map(_panel, runs)), file=file, columns=1, row_height=1.35)
-
-
-def _panel(run: EntrySpeed) -> Panel:
-    title = _title(run)
+    clean, lowest = run.row["clean"], 3.6 * min(run.scan.clearances)
+    speed = f"not clean at {lowest:.0f} km/h" if clean is None else f"clean up to {clean:.0f} km/h"
+    title = f"{run.test.car.name}, {run.name}{', tuned' if run.tuned else ''}: {speed}"
     return Panel(data_text(title), partial(_draw_run, run=run), f"What the corners of the car swept: {title}.")
 
 
@@ -114,7 +112,7 @@ def _draw_run(axes: Axes, run: EntrySpeed) -> None:
     for gate in track.gates:
         for side in (gate.right, gate.left):
             axes.plot([gate.start, gate.end], [side, side], **BACKGROUND_STROKE, linewidth=0.7)
-    draw_dots(axes, track.cones[:, 0], track.cones[:, 1], SERIES[1], "^", 4.0)
+    axes.plot(track.cones[:, 0], track.cones[:, 1], "^", color=SERIES[1], markersize=4.0, zorder=5)
     for poses in run.poses:
         corners = outline.corners_at(*poses.T)
         for corner, colour, width in _CORNERS:
@@ -127,11 +125,3 @@ def _draw_run(axes: Axes, run: EntrySpeed) -> None:
         axes.fill(*corners.T, edgecolor=INK, facecolor="none", linewidth=0.4, alpha=0.5, zorder=1)
     low, high = min(gate.right for gate in track.gates), max(gate.left for gate in track.gates)
     axes.set(xlabel="x (m)", xlim=(start, end), ylabel="y (m)", ylim=(low - 0.8, high + 0.8))
-
-
-def _title(run: EntrySpeed) -> str:
-    label = f"{run.test.car.name}, {run.name}{', tuned' if run.tuned else ''}"
-    row = run.row
-    if row["clean"] is None:
-        return f"{label}: not clean at {3.6 * min(run.scan.clearances):.0f} km/h"
-    return f"{label}: clean up to {row['clean']:.0f} km/h"

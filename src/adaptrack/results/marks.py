@@ -1,4 +1,4 @@
-"""Curves, maps, scales, keys and dots with intervals on matplotlib's axes, as several pictures need them.
+"""Colours and line styles of all pictures; maps, scales, keys and dots with intervals on matplotlib's axes.
 
 Importing this module does not load matplotlib: results are made also where nothing is drawn.
 """
@@ -46,56 +46,25 @@ TICK_STEPS = (1, 2, 5, 10)
 """Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
 
 
-# -- strokes ----------------------------------------------------------------------------------------------------------
-def make_stroke(colour: str = SERIES[0], linestyle: Any = "-") -> Stroke:
-    """Return a stroke."""
-    return {"color": colour, "linestyle": linestyle}
+BAND: Mapping[str, Any] = {"alpha": 0.2, "linewidth": 0.0}
+"""Look of the area between two curves, for `fill_between`."""
 
 
 def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
     """Return one stroke per distinct label, in order; strokes repeat after three times the number of colours."""
     styles, n = ("-", LONG_DASHES, DOTTED), len(SERIES)
     return {
-        label: make_stroke(SERIES[i % n], styles[i // n % len(styles)]) for i, label in enumerate(dict.fromkeys(labels))
+        label: {"color": SERIES[i % n], "linestyle": styles[i // n % len(styles)]}
+        for i, label in enumerate(dict.fromkeys(labels))
     }
 
 
-# -- curves and points ------------------------------------------------------------------------------------------------
-def draw_dots(
-    axes: Axes, x: ArrayLike, y: ArrayLike, colour: str = SERIES[0], marker: str = "o", size: float = 5.0, **look: Any
-) -> None:
-    """Draw single points; size: pt."""
-    axes.plot(x, y, color=colour, linestyle="", marker=marker, markersize=size, zorder=5, **look)
-
-
-def draw_ribbon(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str = SERIES[0]) -> None:
-    """Shade the area between two curves where both are finite."""
-    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-    finite = (np.isfinite(low) & np.isfinite(high)).tolist()
-    axes.fill_between(np.asarray(x), low, high, where=finite, color=colour, alpha=0.2, linewidth=0.0)
-
-
-def draw_bars(axes: Axes, edges: ArrayLike, heights: ArrayLike, fill: float = 0.9) -> None:
-    """Draw upright bars from zero between edges (n + 1,); fill: share of the width."""
-    edges = np.asarray(edges, dtype=float)
-    width = np.diff(edges)
-    axes.bar(edges[:-1] + 0.5 * (1.0 - fill) * width, heights, fill * width, align="edge", color=SERIES[0])
-    axes.grid(False, axis="x")
-
-
-def write_beside(axes: Axes, x: float, y: float, text: str, offset: tuple[float, float] = (5.0, 5.0)) -> None:
-    """Write words at an offset (pt, to the right and up) from a point."""
-    axes.annotate(text, (x, y), offset, textcoords="offset points", fontsize=8.0)
-
-
-# -- titles, keys and scales ------------------------------------------------------------------------------------------
-def add_line_key(axes: Axes, entries: Iterable[tuple[str, Stroke]]) -> None:
+# -- keys and scales --------------------------------------------------------------------------------------------------
+def add_line_key(axes: Axes, entries: Iterable[tuple[str, Any]]) -> None:
     """Add a key of line styles in ink, at the right above the panel, level with its title."""
     from matplotlib.lines import Line2D
 
-    handles = [
-        Line2D([], [], color=INK, linestyle=stroke["linestyle"], label=name, linewidth=1.2) for name, stroke in entries
-    ]
+    handles = [Line2D([], [], color=INK, linestyle=dashes, label=name, linewidth=1.2) for name, dashes in entries]
     axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
 
 
@@ -108,10 +77,7 @@ def include_y(axes: Axes, *values: float) -> tuple[float, float]:
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
     """Write names at 0, 1, 2, ... on the y axis, downwards, in place of numbers."""
-    from matplotlib.ticker import FixedFormatter, FixedLocator
-
-    axes.yaxis.set_major_locator(FixedLocator(range(len(names))))
-    axes.yaxis.set_major_formatter(FixedFormatter(list(names)))
+    axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)
 
@@ -141,16 +107,14 @@ def set_log_scale(axes: Axes, axis_name: Literal["x", "y"], limits: tuple[float,
 
     limits: its ends; those of its curves if None. Very small and very large numbers are written as powers of ten.
     """
-    from matplotlib.ticker import FuncFormatter, NullLocator
-
     axes.set(**{f"{axis_name}scale": "log"})
     axis = axes.xaxis if axis_name == "x" else axes.yaxis
     low, high = limits or axis.get_view_interval()
     axes.set(**{f"{axis_name}lim": (low, high)})
     axis.set_major_locator(log_ticks(low, high))
-    axis.set_minor_locator(NullLocator())
+    axis.minorticks_off()
     if low >= 1e-4 and high < 1e6:
-        axis.set_major_formatter(FuncFormatter(write_plainly))
+        axis.set_major_formatter(write_plainly)
 
 
 def add_degrees(axes: Axes) -> None:
@@ -169,7 +133,7 @@ def add_degrees(axes: Axes) -> None:
 # -- colours of numbers -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class ColourScale:
-    """A scale from numbers to colours, dark to bright (cividis), and the bar that explains it."""
+    """A scale from numbers to colours, and the bar that explains it."""
 
     low: float
     high: float
@@ -177,10 +141,8 @@ class ColourScale:
     log: bool = False
     integer: bool = False
     """Whether only whole numbers are written beside the bar."""
-    reversed: bool = False
-    """Whether low values are bright."""
-    deviation: bool = False
-    """Whether the colours are those of a deviation: blue, amber, red."""
+    colours: Literal["cividis", "cividis_r", "deviation"] = "cividis"
+    """Colours from low to high: dark to bright, bright to dark, or `deviation_colours`."""
     beyond: Literal["neither", "min", "max", "both"] = "neither"
     """Which ends of the scale some values exceed."""
 
@@ -190,8 +152,7 @@ class ColourScale:
         from matplotlib.colors import LogNorm, Normalize
 
         norm = LogNorm(self.low, self.high) if self.log else Normalize(self.low, self.high)
-        even = "cividis_r" if self.reversed else "cividis"
-        return {"cmap": deviation_colours() if self.deviation else even, "norm": norm}
+        return {"cmap": deviation_colours() if self.colours == "deviation" else self.colours, "norm": norm}
 
 
 def deviation_colours() -> Colormap:
@@ -232,6 +193,25 @@ def draw_heat_map(
     _add_bar(axes, scale)
 
 
+def speed_map(
+    title: str, edges: Sequence[ArrayLike] | NDArray[np.float64], cells: ArrayLike, scale: ColourScale, label: str,
+    words: str, *, image: bool = False, crosses: tuple[ArrayLike, ArrayLike] = ((), ()),
+) -> Panel:  # fmt: skip
+    """A panel of values over the speed and a second quantity; arguments as for `draw_heat_map`.
+
+    edges: of the cells along the speed (m/s) and the second quantity; label: of the latter; words: description for
+    screen readers; crosses: speeds and values of the second quantity that are marked.
+    """
+
+    def draw(axes: Axes) -> None:
+        draw_heat_map(axes, edges[0], edges[1], cells, scale, image=image)
+        look: dict[str, Any] = {"color": SERIES[1], "markersize": 4.5, "markeredgewidth": 1.5, "zorder": 5}
+        axes.plot(*crosses, "x", scalex=False, scaley=False, **look)
+        axes.set(xlabel="Speed (m/s)", ylabel=label)
+
+    return Panel(title, draw, words)
+
+
 def draw_coloured_line(axes: Axes, x: ArrayLike, y: ArrayLike, values: ArrayLike, scale: ColourScale) -> None:
     """Draw a line through points (n + 1,), each piece in the colour of its value (n,), and add the scale's bar."""
     from matplotlib.collections import LineCollection
@@ -248,11 +228,9 @@ def draw_coloured_line(axes: Axes, x: ArrayLike, y: ArrayLike, values: ArrayLike
 def _add_bar(axes: Axes, scale: ColourScale) -> None:
     """Add the bar of a scale beside its axes: within their own box where other panels align with them."""
     from matplotlib.cm import ScalarMappable
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, MaxNLocator
+    from matplotlib.ticker import MaxNLocator
 
-    figure = axes.get_figure()
-    assert isinstance(figure, Figure)
+    figure: Any = axes.get_figure()
     if figure.get_layout_engine() is None:
         box = axes.get_position()
         axes.set_position((box.x0, box.y0, 0.83 * box.width, box.height))  # room for the bar and its numbers
@@ -262,7 +240,7 @@ def _add_bar(axes: Axes, scale: ColourScale) -> None:
     linear = MaxNLocator(nbins=5, integer=scale.integer, steps=TICK_STEPS if scale.integer else [1, 2, 2.5, 5, 10])
     ticks = log_ticks(scale.low, scale.high) if scale.log else linear
     bar = figure.colorbar(ScalarMappable(**scale.look), ticks=ticks, extend=scale.beyond, label=scale.label, **place)
-    bar.formatter = FuncFormatter(write_plainly)
+    bar.ax.yaxis.set_major_formatter(write_plainly)
     bar.ax.minorticks_off()
     bar.ax.tick_params(labelsize=7.5)
     bar.outline.set_linewidth(0.5)
@@ -342,7 +320,7 @@ def _draw_dot(axes: Axes, dot: Dot, row: int, edge: float) -> None:
         return
     if dot.low < dot.high:
         axes.plot([dot.low, dot.high], [row, row], color=dot.colour, linewidth=2.2, alpha=0.55)
-    draw_dots(axes, [dot.value], [row], dot.colour, "X" if dot.failed else "o")
+    axes.plot(dot.value, row, "X" if dot.failed else "o", color=dot.colour, markersize=5.0, zorder=5)
 
 
 def caption_notes(dots: Sequence[Dot]) -> str:

@@ -6,9 +6,6 @@ import contextlib
 import itertools
 import os
 import re
-import shutil
-import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +14,15 @@ from markupsafe import Markup
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.files import PAGE_FILE, check_replaceable
+from adaptrack.base.files import PAGE_FILE, write_atomically
 from adaptrack.base.presentation import content_policy, printable
 from adaptrack.base.result import Column, Panel, Result, ResultTable
 from adaptrack.results import style, words
 from adaptrack.results.marks import Stroke
+from adaptrack.results.replay import replay_values
 
 
-def write_result(
-    out_dir: str | os.PathLike[str], result: Result, *, png: bool = True, embedded: Mapping[str, Markup] | None = None
-) -> Path:
+def write_result(out_dir: str | os.PathLike[str], result: Result, *, png: bool = True) -> Path:
     """Write ``index.html`` and the PNG files of a result's pictures into `out_dir`, and return the page's path.
 
     Everything is rendered before anything is written, every file appears whole, and the page comes last: a page that
@@ -36,8 +32,6 @@ def write_result(
     ----------
     png
         Whether to write the PNG files, which may take longer than the page, and link them.
-    embedded
-        Parts that bring their own HTML, style and script, by the name that the template of this kind has for them.
 
     Raises
     ------
@@ -52,24 +46,31 @@ def write_result(
             continue
         if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
-        files[picture.file] = style.picture_png(picture) if png else b""
-    page = render_result(result, png=png, embedded=embedded).encode()
-    _write_files(Path(out_dir), (files if png else {}) | {PAGE_FILE: page})
-    return Path(out_dir) / PAGE_FILE
+        files[picture.file] = style.png(style.print_figure(picture)) if png else b""
+    page = render_result(result, png=png).encode()
+    folder, existed = Path(out_dir), Path(out_dir).exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in ((files if png else {}) | {PAGE_FILE: page}).items():
+            write_atomically(folder / name, content, through_links=False)
+    except (OSError, StorageError) as error:
+        if not existed:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, StorageError):
+            raise
+        raise StorageError(f"{folder}: the page cannot be written: {error.strerror or error}.") from error
+    return folder / PAGE_FILE
 
 
-def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, Markup] | None = None) -> str:
+def render_result(result: Result, *, png: bool = False) -> str:
     """The page of a result as HTML text: the template of its kind, or one that shows everything it holds."""
-    environment = make_environment()
-    template = environment.select_template([f"{result.kind}.html.j2", "result.html.j2"])
-    scripts = re.findall(r"<script>(.*?)</script>", "".join((embedded or {}).values()), re.DOTALL)
+    template = make_environment().select_template([f"{result.kind}.html.j2", "result.html.j2"])
     return template.render(
-        result=result, record=result.record, v=result.values, title=result.title, failed=result.headline,
+        result=result, v=result.values, title=result.title, failed=result.headline,
         created=words.clock(result.created), version=__version__, png=png, titles=[],
-        policy=Markup(content_policy(scripts)),
         pictures={picture.name: picture for picture in result.pictures},
         tables={table.name: table for table in result.tables},
-        **(embedded or {}),
     )  # fmt: skip
 
 
@@ -93,13 +94,30 @@ def make_environment() -> jinja2.Environment:
         figure = style.panel_figure(panel, size)
         return Markup(style.inline_svg(figure, f"p{next(counter)}", style.describe_panel(panel)))
 
-    formats = ("entry", "number", "percent", "listed", "counted", "capital", "title_of", "span", "few", "legible")
+    formats = (
+        "entry",
+        "number",
+        "percent",
+        "listed",
+        "counted",
+        "capital",
+        "title_of",
+        "span",
+        "few",
+        "legible",
+        "controller_name",
+    )
     environment.filters |= {name: getattr(words, name) for name in formats}
     environment.filters |= {
-        "inline": inline, "anchor": words.slug, "words": _holds_words, "dashes": _dashes,
-        "colour": lambda stroke: style.themed(stroke["color"]),
+        "inline": inline, "replay_values": replay_values, "policy": _policy, "anchor": words.slug,
+        "words": _holds_words, "dashes": _dashes, "colour": lambda stroke: style.themed(stroke["color"]),
     }  # fmt: skip
     return environment
+
+
+def _policy(text: str) -> Markup:
+    """The security policy of a page with this text: nothing but its own scripts may run."""
+    return Markup(content_policy(re.findall(r"<script>(.*?)</script>", text, re.DOTALL)))
 
 
 def _holds_words(table: ResultTable, column: Column) -> bool:
@@ -118,29 +136,3 @@ def _dashes(stroke: Stroke) -> str:
     """The SVG dash pattern of a stroke 2 wide; empty for a solid line."""
     pattern = stroke["linestyle"]
     return "" if pattern == "-" else " ".join(f"{2 * length:g}" for length in pattern[1])
-
-
-def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write all files into a hidden folder first, then move them into place, in the given order."""
-    existed = folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in files:
-            if (folder / name).is_dir():
-                raise StorageError(f"{folder / name}: cannot be written: a folder has that name.")
-            check_replaceable(folder / name)
-        staging = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
-        try:
-            for name, content in files.items():
-                (staging / name).write_bytes(content)
-            for name in files:
-                os.replace(staging / name, folder / name)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
-    except OSError as error:
-        if not existed:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        if isinstance(error, StorageError):
-            raise
-        raise StorageError(f"{folder}: the report cannot be written: {error.strerror or error}.") from error

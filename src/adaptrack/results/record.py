@@ -238,7 +238,7 @@ def above_picture(drives: Drives) -> Picture:
     check_one_road(records)
     ends, high = road_span(records), offset_scale(records)
     beyond = max(drive.max_offset for drive in records) > high
-    scale = marks.ColourScale(0.0, high, "|e| (m)", deviation=True, beyond="max" if beyond else "neither")
+    scale = marks.ColourScale(0.0, high, "|e| (m)", colours="deviation", beyond="max" if beyond else "neither")
     panels = [
         Panel(
             "" if alone else data_text(label), partial(_draw_from_above, drive=drive, scale=scale, ends=ends),
@@ -246,14 +246,10 @@ def above_picture(drives: Drives) -> Picture:
         )
         for label, drive in drives.items()
     ]  # fmt: skip
-    caption = (
-        "The road from above, the driven line coloured by the offset |e| of the centre of mass from the centre line. "
-        "Cross: failed."
-    )
     width, tallest = ON_PAGE if alone else IN_COLUMNS
     columns = 1 if alone else 2
     return Picture(
-        "above", caption, panels, file="above.png", columns=columns,
+        "above", "", panels, file="above.png", columns=columns,
         row_height=_row_height(records, IN_PRINT[0] / columns, IN_PRINT[1]),
         size=(width, _row_height(records, width, tallest)),
     )  # fmt: skip
@@ -277,10 +273,10 @@ def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, e
     pick = np.unique(np.linspace(0, x.size - 1, PIECES + 1).astype(int))
     worst = np.maximum.reduceat(np.abs(drive.offset), pick[:-1])
     marks.draw_coloured_line(axes, x[pick], y[pick], worst, scale)
-    marks.draw_dots(axes, x[:1], y[:1], marks.INK, size=4.0)
-    marks.write_beside(axes, x[0], y[0], "start")
+    axes.plot(x[0], y[0], "o", color=marks.INK, markersize=4.0, zorder=5)
+    axes.annotate("start", (x[0], y[0]), (5.0, 5.0), textcoords="offset points", fontsize=8.0)
     if drive.failure is not None:
-        marks.draw_dots(axes, x[-1:], y[-1:], marks.INK, "x", 8.0, markeredgewidth=1.5)
-        marks.write_beside(axes, x[-1], y[-1], "failed", (6.0, -10.0))
+        axes.plot(x[-1], y[-1], "x", color=marks.INK, markersize=8.0, markeredgewidth=1.5, zorder=5)
+        axes.annotate("failed", (x[-1], y[-1]), (6.0, -10.0), textcoords="offset points", fontsize=8.0)
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")

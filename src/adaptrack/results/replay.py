@@ -21,7 +21,6 @@ from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import record
 from adaptrack.results.marks import deviation_colours
-from adaptrack.results.page import make_environment
 from adaptrack.road import Road
 
 PERIOD = 0.05
@@ -44,15 +43,15 @@ PREDICTED_UNIT = 1e-2
 """m, to which predicted points are rounded."""
 
 SHADES = 9
-"""Colours of the trail."""
+"""Colours of the trail, from no deviation to the largest."""
 
 SCRIPTS = ("history.js", "transport.js", "viewer.js", "plots.js")
 STYLE = "viewer.css"
 """Files of `adaptrack/export/page` that draw a drive on both pages."""
 
 
-def replay(drives: record.Drives) -> Markup:
-    """The replay of drives on one road, as a part of a page. A page holds one.
+def replay_values(drives: record.Drives) -> dict[str, Any]:
+    """Return what the template `replay.html.j2` needs for drives on one road: data, script and style. A page holds one.
 
     Raises
     ------
@@ -62,41 +61,25 @@ def replay(drives: record.Drives) -> Markup:
     data = replay_data(drives)
     # JSON inside an element: "<" could end it, an escape cannot
     json_text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return Markup(
-        make_environment()
-        .get_template("replay.html.j2")
-        .render(
-            data=Markup(json_text),
-            script=Markup("\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])),
-            style=Markup(_shared(STYLE)),
-            names=[car["name"] for car in data["cars"]],
-            shades=data["shades"],
-            top=f"{data['top']:g}",
-            beyond=max(drive.max_offset for drive in drives.values()) > data["top"],
-            predicted=any(car["predicted"] for car in data["cars"]),
-            road=data["road"]["name"],
-        )
-    )
+    script = "\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])
+    return {
+        **data, "json": Markup(json_text), "script": Markup(script), "style": Markup(_shared(STYLE)),
+        "beyond": max(drive.max_offset for drive in drives.values()) > data["top"],
+    }  # fmt: skip
 
 
 def replay_data(drives: record.Drives) -> dict[str, Any]:
     """Return the data of the replay: the road's edges, the colour scale, and each car with outline and columns."""
-    records = list(drives.values())
+    from matplotlib.colors import to_hex
+
+    records, colours = list(drives.values()), deviation_colours()
     return {
         "road": _road(records[0].road, record.road_span(records)),
         "top": record.offset_scale(records),
-        "shades": _shades(),
+        "shades": [to_hex(colours(share)) for share in np.linspace(0.0, 1.0, SHADES)],
         "period": round(float(np.median(np.diff(records[0].run.t[sample_indices(records[0])]))), 6),
         "cars": [_car(label, drive) for label, drive in drives.items()],
     }
-
-
-def _shades() -> list[str]:
-    """The colours of the trail in CSS's notation, from no deviation to the largest."""
-    from matplotlib.colors import to_hex
-
-    colours = deviation_colours()
-    return [to_hex(colours(share)) for share in np.linspace(0.0, 1.0, SHADES)]
 
 
 def pack_column(values: record.Array, unit: float) -> dict[str, Any]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from adaptrack.base.result import Column, Picture, Result, ResultTable, Row
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.reproduce import PAPER_TESTS, Reproduction
+from adaptrack.results import drive
 from adaptrack.results.marks import strokes
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.words import number, title_of
@@ -35,9 +37,6 @@ MOVE_TITLES = {"laguerre 0.95": "Laguerre 0.95", "laguerre 0.75": "Laguerre 0.75
 CONFIGURATIONS = {"released": "As released", "same-moves": "The same moves for all"}
 FIGURES = {"triple-lane-change": (7, 8), "general-trajectory": (9, 10)}
 """Numbers of the paper's figures on the conditions and on the tracking of each test."""
-
-SECTION = "the paper's section V"
-"""Section of the paper with its figures 6 to 10."""
 
 PUBLISHED_COLUMNS = (
     Column("name", "Test and controller"),
@@ -109,50 +108,15 @@ def _paper_figures(labelled: Sequence[tuple[str, Trajectory]]) -> Iterable[Pictu
     }
     colours = strokes(CONTROLLER_TITLES[name] for name, _ in labelled)
     speeds = {f"({letter}) {title_of(test)}": runs[test] for letter, test in zip("ab", PAPER_TESTS, strict=True)}
-    yield replace(
-        speed_picture(speeds, colours, f"Figure 6 of {SECTION}. Speed: profile (dashed) and driven."),
-        name="figure-6", file="figure-6.png",
-    )  # fmt: skip
+    yield replace(speed_picture(speeds, colours), name="figure-6", file="figure-6.png")
     for test, (conditions, tracking) in FIGURES.items():
-        title = title_of(test)
-        yield replace(
-            conditions_picture(runs[test], colours, f"figure-{conditions}"),
-            caption=f"Figure {conditions} of {SECTION}. {title}: gust, friction, horizons, weights; black: all runs.",
-        )
-        yield replace(
-            tracking_picture(runs[test], colours, f"figure-{tracking}"),
-            caption=f"Figure {tracking} of {SECTION}. {title}: path, tracking error, wheel angle, yaw rate.",
-        )
+        yield conditions_picture(runs[test], colours, f"figure-{conditions}")
+        yield tracking_picture(runs[test], colours, f"figure-{tracking}")
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
-def errors_table(name: str, title: str, columns: Sequence[Column], rows: Sequence[Row], group: str = "") -> ResultTable:
-    """A table whose entries that are runs show their mean square error; bold: the best of column and group."""
-    best, failed = set(), set()
-    for i, row in enumerate(rows):
-        for column, run in row.items():
-            if not isinstance(run, Mapping) or run["controller"] == "best-in-hindsight":
-                continue
-            rivals = [other[column] for other in rows if other.get(group) == row.get(group)]
-            if run["failed"]:
-                failed.add((i, column))
-            elif run["mse"] == min(rival["mse"] for rival in rivals if _competes(rival)):
-                best.add((i, column))
-    table_rows = [
-        {key: _error(value) if isinstance(value, Mapping) else value for key, value in row.items()} for row in rows
-    ]
-    return ResultTable(name, title, columns, table_rows, "", group, frozenset(best), frozenset(failed))
-
-
-def _competes(run: Row) -> bool:
-    return not run["failed"] and run["controller"] != "best-in-hindsight"
-
-
-def _error(run: Row) -> Any:
-    """The mean square error of a run, or the text "failed" with the number of failed runs."""
-    if not run["failed"]:
-        return run["mse"]
-    return f"failed, {run['failed']} of {run['runs']}" if run.get("runs", 1) > 1 else "failed"
+errors_table = partial(drive.errors_table, competes=lambda run: run["controller"] != "best-in-hindsight")
+"""A table of mean square errors; the best in hindsight is never in bold."""
 
 
 def _published_table(published: Sequence[Row]) -> ResultTable:

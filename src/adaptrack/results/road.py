@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row
 from adaptrack.core.maths import portable
 from adaptrack.results import marks
 from adaptrack.results.words import data_text, length
@@ -40,18 +40,16 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
     """Return a road, its planned speed and the parts that cannot be driven as a result."""
     barred = [finding for finding in findings if not finding.drivable]
     summary = _summary(road, plan)
-    summary_rows = [
-        {"what": title, "value": summary[key], "unit": unit} for key, (title, unit) in SUMMARY_TITLES.items()
+    quantities = [{"what": title, "value": summary[key], "unit": unit} for key, (title, unit) in SUMMARY_TITLES.items()]
+    places: dict[bool, list[Row]] = {False: [], True: []}
+    for finding in findings:
+        places[finding.drivable].append({"from": finding.start, "to": finding.end, "what": finding.text})
+    tables = [
+        ResultTable("summary", road.name, SUMMARY_COLUMNS, quantities, brief=True),
+        ResultTable("limits", "Limits of the planned speed", LIMIT_COLUMNS, _longest(plan), brief=True),
+        ResultTable("barred", "Places that the car cannot drive", PLACE_COLUMNS, places[False], brief=True),
+        ResultTable("notes", "Notes", PLACE_COLUMNS, places[True], brief=True),
     ]
-    tables = [ResultTable("summary", road.name, SUMMARY_COLUMNS, summary_rows, brief=True)]
-    tables.append(ResultTable("limits", "Limits of the planned speed", LIMIT_COLUMNS, _longest(plan), brief=True))
-    for name, title, drivable in (("barred", "Places that the car cannot drive", False), ("notes", "Notes", True)):
-        places = [
-            {"from": finding.start, "to": finding.end, "what": finding.text}
-            for finding in findings
-            if finding.drivable is drivable
-        ]
-        tables += [ResultTable(name, title, PLACE_COLUMNS, places, brief=True)]
     return Result(
         kind="road",
         title=road.name,
@@ -129,36 +127,30 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
     s = np.linspace(0.0, road.length, LINE_POINTS)
     barred = [finding for finding in findings if not finding.drivable]
 
-    def draw_curvature(axes: Axes) -> None:
-        axes.plot(s, road.at(s).curvature, color=marks.SERIES[0])
-        label_station(axes, "Curvature (1/m)")
-
-    def draw_grade(axes: Axes) -> None:
-        axes.plot(s, 100.0 * road.along("grade", s), color=marks.SERIES[0])
-        label_station(axes, "Grade (%)")
-
-    def draw_speed(axes: Axes) -> None:
-        axes.plot(s, plan.at(s), color=marks.SERIES[0])
-        if road.speed_limit is not None:
-            axes.plot(s, road.along("speed_limit", s), color=marks.MUTED, linestyle=marks.DASHED)
-        label_station(axes, "Speed (m/s)")
-        axes.set_ylim(bottom=0.0)
-
-    def label_station(axes: Axes, label: str) -> None:
+    def draw_along(axes: Axes, values: Any, label: str) -> None:
+        axes.plot(s, values, color=marks.SERIES[0])
         for finding in barred:
             end = max(finding.end, finding.start + 0.003 * road.length)
             axes.axvspan(finding.start, end, color=marks.SERIES[1], alpha=0.3, linewidth=0.0)
         axes.set(xlabel="Distance along the road (m)", xlim=(0.0, road.length), ylabel=label)
 
+    def draw_speed(axes: Axes) -> None:
+        draw_along(axes, plan.at(s), "Speed (m/s)")
+        if road.speed_limit is not None:
+            axes.plot(s, road.along("speed_limit", s), color=marks.MUTED, linestyle=marks.DASHED)
+        axes.set_ylim(bottom=0.0)
+
     lap = "lap of " if road.closed else ""
     title = data_text(f"{road.name}: {lap}{road.length:.0f} m, {plan.duration:.0f} s")
+    curvature, grade = road.at(s).curvature, 100.0 * road.along("grade", s)
     panels = [
         Panel(title, lambda axes: _draw_from_above(axes, road, plan, s, barred), "Map of the road.", height=4.0),
-        Panel("Curvature", draw_curvature, "Curvature along the road."),
+        Panel("Curvature", lambda axes: draw_along(axes, curvature, "Curvature (1/m)"), "Curvature along the road."),
         Panel("Speed", draw_speed, "Planned speed along the road."),
     ]
-    if road.along("grade", s).any():
-        panels.append(Panel("Grade", draw_grade, "Grade along the road, positive uphill."))
+    if grade.any():
+        words = "Grade along the road, positive uphill."
+        panels.append(Panel("Grade", lambda axes: draw_along(axes, grade, "Grade (%)"), words))
     caption = "Map of the road, coloured by the planned speed; curvature and speed along the road."
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 
@@ -172,7 +164,7 @@ def _draw_from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, bar
     marks.draw_coloured_line(axes, points.x, points.y, speed[:-1], scale)
     places = [road.at(0.5 * (finding.start + finding.end)) for finding in barred]
     x, y = [float(place.x) for place in places], [float(place.y) for place in places]
-    marks.draw_dots(axes, x, y, marks.SERIES[1], "x", 8.0, markeredgewidth=1.5)
+    axes.plot(x, y, "x", color=marks.SERIES[1], markersize=8.0, markeredgewidth=1.5, zorder=5)
     arrow = 0.03 * portable.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
     start = road.at(0.0)
     tail, heading = (float(start.x), float(start.y)), float(start.heading)

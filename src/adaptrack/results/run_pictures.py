@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from adaptrack.base.result import Panel, Picture
 from adaptrack.control.controllers.tuning import ENTRIES
 from adaptrack.control.speed_control import SpeedLimit
 from adaptrack.core.estimators.learning import LEARNED, LOGARITHMIC
-from adaptrack.core.kernel import Field, fields_of
+from adaptrack.core.kernel import fields_of
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
@@ -33,7 +34,11 @@ Strokes = Mapping[str, marks.Stroke]
 RunSignal = Callable[[Trajectory], Array]
 """A function that returns a signal of a run."""
 
-_WHEELS = ("front left", "front right", "rear left", "rear right")
+_WHEELS = {
+    (0, 1, 2, 3): "all wheels", (0, 2): "left", (1, 3): "right", (0, 1): "front", (2, 3): "rear",
+    (0,): "front left", (1,): "front right", (2,): "rear left", (3,): "rear right",
+}  # fmt: skip
+"""Names of groups of wheels with equal friction."""
 CREEPING = 3.0
 """m/s, lowest speed of the paper's operating domain; a panel may cut off slower driving"""
 
@@ -86,16 +91,9 @@ def _columns(group: Literal["diagnostics", "tuning"], *names: str) -> RunSignal:
     return values
 
 
-def _speed(run: Trajectory) -> Array:
-    return run.vx
-
-
-def _planned_speed(run: Trajectory) -> Array:
-    return run.road.get("planned_speed", run.v_ref)
-
-
+_SPEED: RunSignal = attrgetter("vx")
 _GOVERNED = _columns("diagnostics", "governed_speed")
-_LOW, _HIGH = _columns("diagnostics", "friction_low"), _columns("diagnostics", "friction_high")
+_ASSUMED_FRICTION = _columns("diagnostics", "friction_low", "friction_high")
 _LIMIT = _columns("diagnostics", "limited_by")
 
 
@@ -105,20 +103,17 @@ def _panel(title: str, label: str, lines: Lines, value: RunSignal, draw: Callabl
     along = any(line.run.road for line in lines)
 
     def draw_over(axes: Axes) -> None:
-        axes.set(xlabel="Station s (m)" if along else "Time (s)", xlim=_station(lines) if along else _time(lines))
-        axes.set(ylabel=label)
+        axes.set(xlabel="Station s (m)" if along else "Time (s)", xlim=_x_limits(lines, along), ylabel=label)
         draw(axes)
 
     ranges = "; ".join(f"{line.label}: {span(value(line.run))}" for line in lines)
     return Panel(title, draw_over, f"{plain(label)}, over {'the station' if along else 'time'}. {ranges}.")
 
 
-def _time(lines: Lines) -> tuple[float, float]:
-    return float(min(line.run.t[0] for line in lines)), max(line.end for line in lines)
-
-
-def _station(lines: Lines) -> tuple[float, float]:
+def _x_limits(lines: Lines, along: bool) -> tuple[float, float]:
     low = float(min(np.nanmin(line.x, initial=np.inf) for line in lines))
+    if not along:
+        return low, max(line.end for line in lines)
     high = max(low + 1.0, float(max(np.nanmax(line.x, initial=-np.inf) for line in lines)))
     return low, high + 0.04 * (high - low)  # room for the whole last number
 
@@ -147,25 +142,7 @@ def _signal(
 
 def error_panel(lines: Lines) -> Panel:
     """The error from the reference or path."""
-    return _signal("Tracking error", "Tracking error e (m)", lines, lambda run: run.error)
-
-
-def tracking_panels(lines: Lines) -> list[Panel]:
-    """Lateral position, error, angle of the front wheels, yaw rate; on a road speed and acceleration in their place."""
-    error, steering = error_panel(lines), _steering(lines)
-    if any(line.run.road for line in lines):
-        acceleration = "Lateral acceleration", "Lateral acc. (m/s²)"
-        return [
-            error,
-            steering,
-            speed_panel(lines),
-            _signal(*acceleration, lines, lambda run: run.lateral_acceleration),
-        ]
-    position = "Trajectory tracking", "Lateral position (m)"
-    return [
-        _signal(*position, lines, lambda run: run.Y, lambda run: run.y_ref), error, steering,
-        _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
-    ]  # fmt: skip
+    return _signal("Tracking error", "Tracking error e (m)", lines, attrgetter("error"))
 
 
 def speed_panel(lines: Lines, title: str = "Speed", governed: bool = False) -> Panel:
@@ -174,39 +151,28 @@ def speed_panel(lines: Lines, title: str = "Speed", governed: bool = False) -> P
     def draw(axes: Axes) -> None:
         for line in lines:
             _draw_curve(axes, line, line.run.vx)
-        _draw_shared(axes, lines, _planned_speed, marks.REFERENCE_STROKE)
+        _draw_shared(axes, lines, lambda run: run.road.get("planned_speed", run.v_ref), marks.REFERENCE_STROKE)
         if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
             axes.set_ylim(bottom=0.0)
-        _draw_crosses(axes, lines, _speed)
+        _draw_crosses(axes, lines, _SPEED)
         for line in lines if governed else ():
-            _draw_curve(axes, line, _GOVERNED(line.run), marks.make_stroke(line.stroke["color"], marks.DOTTED))
+            _draw_curve(axes, line, _GOVERNED(line.run), linestyle=marks.DOTTED)
 
-    return _panel(title, "Speed (m/s)", lines, _speed, draw)
-
-
-def speed_control_panels(lines: Lines) -> list[Panel]:
-    """Governed speed, longitudinal acceleration, used grip, assumed friction, and what limits the speed."""
-    acceleration, grip = (_columns("diagnostics", name) for name in ("longitudinal_acceleration", "grip_used"))
-    return [
-        speed_panel(lines, "Speed, governed (dotted), planned (dashed)", governed=True),
-        _signal("Longitudinal acceleration", "Long. acc. (m/s²)", lines, acceleration),
-        _signal("Used share of the assumed grip", "Used grip (–)", lines, grip),
-        _assumed_friction(lines),
-        _limits_band(lines),
-    ]
+    return _panel(title, "Speed (m/s)", lines, _SPEED, draw)
 
 
 def _assumed_friction(lines: Lines) -> Panel:
     def draw(axes: Axes) -> None:
         _draw_shared(axes, lines, lambda run: run.friction.mean(axis=1))
         for line in lines:
-            marks.draw_ribbon(axes, line.x, _LOW(line.run), _HIGH(line.run), line.stroke["color"])
-            _draw_curve(axes, line, _LOW(line.run))
-            _draw_curve(axes, line, _HIGH(line.run))
+            interval = _ASSUMED_FRICTION(line.run)
+            axes.fill_between(line.x, *interval, color=line.stroke["color"], **marks.BAND)
+            for end in interval:
+                _draw_curve(axes, line, end)
         marks.include_y(axes, 0.0, 1.0)
 
     title = "Friction: assumed interval, true (black)"
-    return _panel(title, "Friction (–)", lines, _columns("diagnostics", "friction_low", "friction_high"), draw)
+    return _panel(title, "Friction (–)", lines, _ASSUMED_FRICTION, draw)
 
 
 def _limits_band(lines: Lines) -> Panel:
@@ -240,66 +206,45 @@ def _steering(lines: Lines) -> Panel:
     """The angle of the wheels, for a single run with its command; squares mark held angles, degrees at the right."""
     holding = [line for line in lines if line.run.held.any()]
     remark = "□ held" if holding else ""
-    signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, remark=remark)
+    signal = _signal("Steering", "Wheel angle (rad)", lines, attrgetter("steering"), remark=remark)
 
     def draw(axes: Axes) -> None:
         if len(lines) == 1:
-            command = lines[0].run.command
-            _draw_curve(axes, lines[0], command, marks.BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
+            command = {**marks.BACKGROUND_STROKE, "linewidth": 0.8, "drawstyle": "steps-post"}
+            _draw_curve(axes, lines[0], lines[0].run.command, **command)
         for line in holding:
-            is_held = line.run.held
-            points = line.x[is_held], line.run.steering[is_held]
-            marks.draw_dots(axes, *points, line.stroke["color"], "s", 3.0, fillstyle="none")
+            is_held, look = line.run.held, {"color": line.stroke["color"], "fillstyle": "none"}
+            axes.plot(line.x[is_held], line.run.steering[is_held], "s", markersize=3.0, zorder=5, **look)
         signal.draw(axes)
         marks.add_degrees(axes)
 
     return replace(signal, draw=draw)
 
 
-def condition_panels(lines: Lines) -> list[Panel]:
-    """Gust, friction and adapted tuning: horizons and weights of an MPC, a panel for any other entry."""
-    adapted = {
-        name: line.run for line in lines for name, values in line.run.tuning.items() if np.unique(values).size > 1
-    }
-    panels = [_gust(lines), _friction(lines)]
-    panels += [_horizons(lines)] if {"Np", "Nc"} & set(adapted) else []
-    panels += [_weights(lines)] if {"Q", "R"} & set(adapted) else []
-    for name, run in adapted.items():
-        if name not in ENTRIES:
-            label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
-            draw = partial(_draw_tuning, lines=lines, name=name)
-            panels.append(_panel(data_text(name), label, lines, _columns("tuning", name), draw))
-    return panels
-
-
 def _gust(lines: Lines) -> Panel:
-    longitudinal = marks.make_stroke(marks.INK, marks.DASHED)
-
     def draw(axes: Axes) -> None:
         axes.axhline(0.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
         _draw_shared(axes, lines, lambda run: run.wind[:, 1])
         if any(line.run.wind[:, 0].any() for line in lines):
-            _draw_shared(axes, lines, lambda run: run.wind[:, 0], longitudinal)
-            marks.add_line_key(axes, [("lateral", marks.SHARED_STROKE), ("longitudinal", longitudinal)])
+            _draw_shared(axes, lines, lambda run: run.wind[:, 0], marks.REFERENCE_STROKE)
+            marks.add_line_key(axes, [("lateral", "-"), ("longitudinal", marks.DASHED)])
 
     return _panel("Lateral gust", "Wind speed (m/s)", lines, lambda run: run.wind[:, 1], draw)
 
 
 def _friction(lines: Lines) -> Panel:
     dashes = ("-", marks.DASHED, marks.DOTTED, marks.DASH_DOT)
-    wheels = [
-        (wheel, name, marks.make_stroke(marks.INK, dash))
-        for dash, (wheel, name) in zip(dashes, _distinct_wheels(lines), strict=False)
-    ]
+    wheels = _distinct_wheels(lines)
 
     def draw(axes: Axes) -> None:
-        for wheel, _, stroke in wheels:
+        for (wheel, _), dash in zip(wheels, dashes, strict=False):
+            stroke = {"color": marks.INK, "linestyle": dash}
             _draw_shared(axes, lines, lambda run, wheel=wheel: run.friction[:, wheel], stroke)  # type: ignore[misc]
         marks.include_y(axes, 0.45, 1.0)
         if len(wheels) > 1:
-            marks.add_line_key(axes, [(name, stroke) for _, name, stroke in wheels])
+            marks.add_line_key(axes, [(name, dash) for (_, name), dash in zip(wheels, dashes, strict=False)])
 
-    return _panel("Road friction", "Friction coefficient (–)", lines, lambda run: run.friction, draw)
+    return _panel("Road friction", "Friction coefficient (–)", lines, attrgetter("friction"), draw)
 
 
 def _draw_pair(axes: Axes, lines: Lines, solid: str, dotted: str) -> None:
@@ -307,8 +252,7 @@ def _draw_pair(axes: Axes, lines: Lines, solid: str, dotted: str) -> None:
     _draw_tuning(axes, lines, solid)
     _draw_tuning(axes, lines, dotted, marks.DOTTED)
     symbols = {"Np": "$N_p$", "Nc": "$N_c$", "Q": "$Q$", "R": "$R$"}
-    dots = marks.make_stroke(marks.INK, marks.DOTTED)
-    marks.add_line_key(axes, [(symbols[solid], marks.SHARED_STROKE), (symbols[dotted], dots)])
+    marks.add_line_key(axes, [(symbols[solid], "-"), (symbols[dotted], marks.DOTTED)])
 
 
 def _horizons(lines: Lines) -> Panel:
@@ -341,10 +285,10 @@ def _weights(lines: Lines) -> Panel:
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
-def _draw_curve(axes: Axes, line: DrawnRun, values: Array, stroke: marks.Stroke | None = None, **look: Any) -> None:
-    """Draw a signal of a run over its horizontal axis."""
+def _draw_curve(axes: Axes, line: DrawnRun, values: Array, **look: Any) -> None:
+    """Draw a signal of a run over its horizontal axis; look: what differs from the stroke of the run."""
     keep = thin_curve(values)
-    axes.plot(line.x[keep], values[keep], **(stroke or line.stroke), **look)
+    axes.plot(line.x[keep], values[keep], **{**line.stroke, **look})
 
 
 def thin_curve(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
@@ -368,15 +312,14 @@ def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
 def _draw_shared(axes: Axes, lines: Lines, value: RunSignal, stroke: marks.Stroke = marks.SHARED_STROKE) -> None:
     """Draw a signal of the scenario, which all runs share, from the longest run."""
     longest = max(lines, key=lambda line: len(line.run))
-    _draw_curve(axes, longest, value(longest.run), stroke, linewidth=1.0)
+    _draw_curve(axes, longest, value(longest.run), **stroke, linewidth=1.0)
 
 
 def _draw_tuning(axes: Axes, lines: Lines, name: str, linestyle: Any = "-") -> None:
     """Draw a tuning entry of all runs that have it, as steps."""
     for line in lines:
         if name in line.run.tuning:
-            stroke = marks.make_stroke(line.stroke["color"], linestyle)
-            _draw_curve(axes, line, line.run.tuning[name], stroke, drawstyle="steps-post")
+            _draw_curve(axes, line, line.run.tuning[name], linestyle=linestyle, drawstyle="steps-post")
 
 
 def _draw_crosses(axes: Axes, lines: Lines, value: RunSignal) -> None:
@@ -392,17 +335,13 @@ def _draw_crosses(axes: Axes, lines: Lines, value: RunSignal) -> None:
 
 
 def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
-    """The wheels (index, name) whose friction has to be drawn: one, the two sides, the two axles, or all four."""
-    mu = np.concatenate([line.run.friction for line in lines])
-    sides = np.array_equal(mu[:, 0], mu[:, 2]) and np.array_equal(mu[:, 1], mu[:, 3])
-    axles = np.array_equal(mu[:, 0], mu[:, 1]) and np.array_equal(mu[:, 2], mu[:, 3])
-    if sides and axles:
-        return [(0, "all wheels")]
-    if sides:
-        return [(0, "left"), (1, "right")]
-    if axles:
-        return [(0, "front"), (2, "rear")]
-    return list(enumerate(_WHEELS))
+    """The first wheel of each group with equal friction, with the name of the group."""
+    groups: dict[bytes, tuple[int, ...]] = {}
+    for wheel, mu in enumerate(np.concatenate([line.run.friction for line in lines]).T):
+        groups[mu.tobytes()] = (*groups.get(mu.tobytes(), ()), wheel)
+    if set(groups.values()) <= set(_WHEELS):
+        return [(group[0], _WHEELS[group]) for group in groups.values()]
+    return [(wheel, _WHEELS[wheel,]) for wheel in range(4)]
 
 
 def _frame(lines: Lines, value: RunSignal) -> tuple[tuple[float, float] | None, str]:
@@ -435,56 +374,78 @@ def _extent(values: Array) -> tuple[float, float] | None:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-_REFERENCE = ("Reference", marks.REFERENCE_STROKE)
-
-
 def _key(lines: Iterable[DrawnRun]) -> list[tuple[str, marks.Stroke]]:
     return [(line.label, line.stroke) for line in lines]
 
 
-def speed_picture(scenarios: Mapping[str, Runs], strokes: Strokes | None = None, caption: str = "") -> Picture:
+def speed_picture(scenarios: Mapping[str, Runs], strokes: Strokes | None = None) -> Picture:
     """Fig. 6: the speed profile of each scenario (dashed), and the speeds that were driven."""
     strokes = strokes or marks.strokes(label for runs in scenarios.values() for label in runs)
     lines = {name: prepare_runs(runs, strokes) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
     key = {"Profile": marks.REFERENCE_STROKE} | dict(_key(line for group in lines.values() for line in group))
-    return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
+    return Picture("speed", "", panels, list(key.items()), "speed.png", row_height=2.3)
 
 
-def tracking_picture(runs: Runs, strokes: Strokes | None = None, name: str = "tracking", caption: str = "") -> Picture:
-    """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
+def tracking_picture(runs: Runs, strokes: Strokes | None = None, name: str = "tracking") -> Picture:
+    """Figs. 8 and 10: lateral position, error, angle of the front wheels, yaw rate over time.
+
+    Along a road: error, angle, speed and lateral acceleration over the station.
+    """
     lines = prepare_runs(runs, strokes)
-    columns, height = (1, 1.7) if any(run.road for run in runs.values()) else (2, 2.25)
-    key = [_REFERENCE, *_key(lines)]
-    return Picture(name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=height)
+    error, steering = error_panel(lines), _steering(lines)
+    key = [("Reference", marks.REFERENCE_STROKE), *_key(lines)]
+    if any(run.road for run in runs.values()):
+        acceleration = attrgetter("lateral_acceleration")
+        acceleration_panel = _signal("Lateral acceleration", "Lateral acc. (m/s²)", lines, acceleration)
+        panels = [error, steering, speed_panel(lines), acceleration_panel]
+        return Picture(name, "", panels, key, f"{name}.png", columns=1, row_height=1.7)
+    position = _signal("Trajectory tracking", "Lateral position (m)", lines, attrgetter("Y"), attrgetter("y_ref"))
+    yaw_rate = _signal("Yaw rate", "Yaw rate (rad/s)", lines, attrgetter("yaw_rate"))
+    return Picture(name, "", [position, error, steering, yaw_rate], key, f"{name}.png")
 
 
 def speed_control_picture(runs: Runs, strokes: Strokes | None = None, name: str = "speed-control") -> Picture:
-    """`speed_control_panels` over the station along a road."""
+    """Governed speed, longitudinal acceleration, used grip, assumed friction, and what limits the speed."""
     lines = prepare_runs(runs, strokes)
-    key = [_REFERENCE, *_key(lines)]
-    return Picture(name, "", speed_control_panels(lines), key, f"{name}.png", 1, row_height=1.7)
+    acceleration, grip = (_columns("diagnostics", name) for name in ("longitudinal_acceleration", "grip_used"))
+    panels = [
+        speed_panel(lines, "Speed, governed (dotted), planned (dashed)", governed=True),
+        _signal("Longitudinal acceleration", "Long. acc. (m/s²)", lines, acceleration),
+        _signal("Used share of the assumed grip", "Used grip (–)", lines, grip),
+        _assumed_friction(lines),
+        _limits_band(lines),
+    ]
+    key = [("Reference", marks.REFERENCE_STROKE), *_key(lines)]
+    return Picture(name, "", panels, key, f"{name}.png", columns=1, row_height=1.7)
 
 
-def conditions_picture(
-    runs: Runs, strokes: Strokes | None = None, name: str = "conditions", caption: str = ""
-) -> Picture:
-    """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, as far as the runs have them."""
+def conditions_picture(runs: Runs, strokes: Strokes | None = None, name: str = "conditions") -> Picture:
+    """Figs. 7 and 9: gust, friction and adapted tuning: horizons and weights of an MPC, a panel for any other entry."""
     lines = prepare_runs(runs, strokes)
-    return Picture(name, caption, condition_panels(lines), _key(lines), f"{name}.png")
+    adapted = {
+        name: line.run for line in lines for name, values in line.run.tuning.items() if np.unique(values).size > 1
+    }
+    panels = [_gust(lines), _friction(lines)]
+    panels += [_horizons(lines)] if {"Np", "Nc"} & set(adapted) else []
+    panels += [_weights(lines)] if {"Q", "R"} & set(adapted) else []
+    for entry, run in adapted.items():
+        if entry not in ENTRIES:
+            label = data_text(f"{entry} ({run.units[f'tuning.{entry}'].replace('-', '–')})")
+            draw = partial(_draw_tuning, lines=lines, name=entry)
+            panels.append(_panel(data_text(entry), label, lines, _columns("tuning", entry), draw))
+    return Picture(name, "", panels, _key(lines), f"{name}.png")
 
 
 # -- learned quantities -----------------------------------------------------------------------------------------------
 _LABELS = {"friction": "μ (–)", "bank": "Acceleration (m/s²)"} | dict.fromkeys(LOGARITHMIC[:2], "Factor (–)")
 
 
-def _label(quantity: Field) -> tuple[str, str, str]:
-    """Title, label and unit of a learned quantity."""
-    unit = quantity.unit.replace("^2", "²")
-    return capital(quantity.meaning), _LABELS.get(quantity.name, f"{capital(quantity.name)} ({unit})"), unit
-
-
-LABELS = {quantity.name: _label(quantity) for quantity in fields_of(LEARNED)}
+LABELS = {
+    field.name: (capital(field.meaning), _LABELS.get(field.name, f"{capital(field.name)} ({unit})"), unit)
+    for field in fields_of(LEARNED)
+    for unit in [field.unit.replace("^2", "²")]
+}
 """Learned quantities by name: title, label and unit."""
 DRAWN = ("delay", *(name for name in LABELS if name not in ("delay", "dead_time", "balance")))
 
@@ -511,10 +472,7 @@ def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
         name, sigma = key.removeprefix("belief_"), run.diagnostics.get(f"{key}_sigma")
         if name == key or sigma is None:
             continue
-        if name in LOGARITHMIC:
-            low, high = mean * portable.exp(-sigma), mean * portable.exp(sigma)
-        else:
-            low, high = mean - sigma, mean + sigma
+        low, high = (mean * portable.exp(end) if name in LOGARITHMIC else mean + end for end in (-sigma, sigma))
         learned[name] = Learnt(mean, low, high, truth.get(name))
     return learned
 
@@ -544,7 +502,7 @@ def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: 
     for line, learnt in curves:
         keep = thin_curve(learnt.mean)
         time = line.run.t[keep]
-        marks.draw_ribbon(axes, time, learnt.low[keep], learnt.high[keep], line.stroke["color"])
+        axes.fill_between(time, learnt.low[keep], learnt.high[keep], color=line.stroke["color"], **marks.BAND)
         axes.plot(time, learnt.mean[keep], **line.stroke)
         if learnt.truth is not None:
             axes.plot(line.run.t, learnt.truth, **marks.REFERENCE_STROKE, linewidth=1.0)

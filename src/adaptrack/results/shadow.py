@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, select_entries
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, best_entries
 from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import LEARNED
 from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import PREDICTOR_NAMES, PREDICTORS, Shadow, ShadowLog, Warned
 from adaptrack.results.identify import ESTIMATE_COLUMNS, quantity_row
-from adaptrack.results.marks import BACKGROUND_STROKE, REFERENCE_STROKE, add_degrees, draw_dots, draw_ribbon, strokes
+from adaptrack.results.marks import BACKGROUND_STROKE, BAND, REFERENCE_STROKE, SERIES, add_degrees, strokes
 from adaptrack.results.run_pictures import LABELS, thin_curve, turning_part
 from adaptrack.results.words import capital, listed, number
 
@@ -141,10 +141,7 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
         }
         for name, prediction in later.items()
     ]  # fmt: skip
-    least = [
-        select_entries(rows, [name], lambda row, name=name: row[name] == min(other[name] for other in rows))
-        for name in ("soon", "later", "fastest", *(("y",) if y else ()))
-    ]
+    best = best_entries(rows, dict.fromkeys(("soon", "later", "fastest", "y"), min))
     learned_rows = [
         quantity_row(name, interval.unit, interval.value, (interval.low, interval.high), (old.low, old.high))
         for name, interval, old in zip(LEARNED._fields, log.learned.intervals, log.before.intervals, strict=False)
@@ -152,7 +149,7 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
     title = f"RMS errors of predicted yaw rate{' and offset' if y else ''}{suffix}"
     columns = PREDICTION_COLUMNS if y else PREDICTION_COLUMNS[:-1]
     return [
-        ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
+        ResultTable(f"predicted{suffix}", title, columns, rows, best=best, brief=True),
         ResultTable(f"believed{suffix}", f"Learned values{suffix}", ESTIMATE_COLUMNS, learned_rows, brief=True),
     ]
 
@@ -211,7 +208,7 @@ def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str)
         logarithmic = name in ("stiffness", "balance")
         factor, spread = (portable.exp(WITHIN * sigma), 0.0) if logarithmic else (1.0, WITHIN * sigma)
         time = start + log.time[keep]
-        draw_ribbon(axes, time, mean / factor - spread, mean * factor + spread, stroke["color"])
+        axes.fill_between(time, mean / factor - spread, mean * factor + spread, color=stroke["color"], **BAND)
         axes.plot(time, mean, **stroke)
     axes.set(xlabel="Time (s)", ylabel=label)
 
@@ -233,6 +230,6 @@ def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
 def _draw_commands(axes: Axes, log: ShadowLog) -> None:
     part = turning_part(log.time, log.measured["yaw_rate"], SHOWN_SECONDS)
     axes.plot(log.time[part], log.command[part], **BACKGROUND_STROKE)
-    draw_dots(axes, log.time[part], log.proposed[part], marker=".", size=1.6)
+    axes.plot(log.time[part], log.proposed[part], ".", color=SERIES[0], markersize=1.6, zorder=5)
     axes.set(xlabel="Time (s)", ylabel="Angle (rad)")
     add_degrees(axes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 import string
@@ -169,7 +170,7 @@ def inline_svg(figure: Figure, prefix: str, description: str) -> str:
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
     text = re.sub(r"<[^>]*>", lambda tag: _tag(tag[0], prefix), text)  # between tags stands what is to be read
     text = re.sub(r"\n\s*", "\n", text)
-    root = f'<svg role="img" aria-label="{_attribute(printable(description))}" font-family="{FONTS}"'
+    root = f'<svg role="img" aria-label="{html.escape(printable(description))}" font-family="{FONTS}"'
     return text.replace("<svg", root, 1).strip()
 
 
@@ -188,26 +189,18 @@ def themed(colour: str) -> str:
     return f"var(--{_THEME[colour]}, {colour})"
 
 
-def _attribute(text: str) -> str:
-    return text.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-
-
 # -- pictures ---------------------------------------------------------------------------------------------------------
 def panel_figure(panel: Panel, size: tuple[float, float] | None = None) -> Figure:
     """Draw one panel for the page; all panels without a size (inch) have their axes at the same place."""
-    if size is not None:
-        with styled():
-            figure = ShownFigure(figsize=size)
-            _show(figure.subplots(), panel, panel.title)
-        return figure
-    width, height = PANEL_SIZE
+    width, height = size or PANEL_SIZE
     left, right, bottom, top = 0.74, 0.1, 0.45, 0.28  # inch
     box = {"left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height}
-    with styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
-        figure = ShownFigure(figsize=PANEL_SIZE)
-        axes = figure.subplots(gridspec_kw=box)
+    with styled(), mpl.rc_context({"figure.constrained_layout.use": size is not None}):
+        figure = ShownFigure(figsize=(width, height))
+        axes = figure.subplots(gridspec_kw=None if size else box)
         _show(axes, panel, panel.title)
-        axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
+        if size is None:
+            axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
     return figure
 
 
@@ -234,11 +227,6 @@ def print_figure(picture: Picture) -> Figure:
         if picture.key:
             legend_above(figure, picture.key)
     return figure
-
-
-def picture_png(picture: Picture) -> bytes:
-    """All panels of a picture as a PNG file."""
-    return png(print_figure(picture))
 
 
 def _show(axes: Axes, panel: Panel, title: str) -> None:

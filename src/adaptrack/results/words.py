@@ -54,23 +54,16 @@ def entry(value: Any, column: Column) -> str:
         return value or "–"
     if column.show == "percent":
         return percent(value)
-    if column.show == "power":
-        return scientific(value)
+    if column.show == "power" and math.isfinite(value) and value != 0.0:
+        mantissa, exponent = f"{value:.1e}".split("e")
+        return f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPTS)}".replace("-", "−")
     if column.show == "whole":
         return number(round(value))
     if column.show == "given":
         return f"{value:g}"
     if column.show == "degrees":
         return f"{number(value, 3)} ({number(math.degrees(value), 3)})"
-    return number(value, column.show)
-
-
-def scientific(value: float) -> str:
-    """A power of ten with two digits, for what spans many decades; a dash for NaN, an exact zero as 0."""
-    if not math.isfinite(value) or value == 0.0:
-        return number(value)
-    mantissa, exponent = f"{value:.1e}".split("e")
-    return f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPTS)}".replace("-", "−")
+    return number(value, column.show if isinstance(column.show, int) else 3)
 
 
 def percent(share: float) -> str:
