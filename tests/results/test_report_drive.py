@@ -12,8 +12,17 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.results import record, style
 from adaptrack.results.drive import drive_result, write_drive_page
-from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, offset_scale, outline_stations
-from adaptrack.results.replay import REPLAY_UNITS, pack_column, replay_data, sample_indices
+from adaptrack.results.record import (
+    REPLAY_UNITS,
+    DrawnCar,
+    DriveRecord,
+    above_picture,
+    offset_scale,
+    outline_stations,
+    pack_column,
+    replay_data,
+    sample_indices,
+)  # fmt: skip
 from adaptrack.results.run_pictures import thin_curve, tracking_picture
 from adaptrack.results.style import print_figure
 from adaptrack.road import Line, Road, generate_road

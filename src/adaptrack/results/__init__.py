@@ -4,8 +4,8 @@
   template of its kind (`templates/`).
 * `style` lays out the figures of a picture and writes PNG and SVG; `marks` has colours, maps, keys and dots.
 * `drive`, `compare`, `evaluation`, `lane_change`, `tuning`, `identify`, `shadow`, `road`, `certificate`, `dataset` and
-  `reproduce` make results from objects of the other rooms. `run_pictures` shows runs, `record` the road from above,
-  `replay` the drive; `words` formats numbers and names.
+  `reproduce` make results from objects of the other rooms. `run_pictures` shows runs, `record` the road from above and
+  the replay of a drive; `words` formats numbers and names.
 * `notebook` has the figure and the notebook form of each type.
 
 The public names are loaded when they are first used.

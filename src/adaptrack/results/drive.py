@@ -160,22 +160,16 @@ def group_runs(runs: Sequence[Run]) -> dict[str, list[Run]]:
     """Group runs by scenario, in their order, with measures and distinct labels."""
     groups: dict[str, list[Run]] = {}
     for run in runs:
-        groups.setdefault(run.trajectory.name_of("scenario"), []).append(run)
-    return {name: _labelled(group) for name, group in groups.items()}
-
-
-def _labelled(runs: Sequence[Run]) -> list[Run]:
-    """Prepare the runs of one scenario, with distinct labels."""
-    labels = [words.legible(run.label) or words.controller_name(run.trajectory.name_of("controller")) for run in runs]
-    numbered = [
-        f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label
-        for i, label in enumerate(labels)
-    ]
-    trajectories = [run.trajectory if run.road is None else on_road(run.trajectory, run.road) for run in runs]
-    return [
-        replace(run, label=label, trajectory=trajectory)
-        for run, label, trajectory in zip(runs, numbered, trajectories, strict=True)
-    ]
+        label = words.legible(run.label) or words.controller_name(run.trajectory.name_of("controller"))
+        trajectory = run.trajectory if run.road is None else on_road(run.trajectory, run.road)
+        group = groups.setdefault(run.trajectory.name_of("scenario"), [])
+        group.append(replace(run, label=label, trajectory=trajectory))
+    for group in groups.values():
+        labels = [run.label for run in group]
+        for i, label in enumerate(labels):
+            if labels.count(label) > 1:
+                group[i] = replace(group[i], label=f"{label} no. {labels[:i].count(label) + 1}")
+    return groups
 
 
 # -- headlines --------------------------------------------------------------------------------------------------------

@@ -183,15 +183,19 @@ def _residuals(identification: Identification) -> Picture:
     series, correlation = identification.series, identification.validation.autocorrelation
     bound = 2.0 / math.sqrt(max(int(np.isfinite(series.innovations).sum()), 1))
 
+    def draw_bounds(axes: Axes, bound: float) -> None:
+        for level in (-bound, bound):
+            axes.axhline(level, linewidth=0.8, color=MUTED, linestyle=DASHED)
+
     def draw_errors(axes: Axes) -> None:
         axes.plot(series.time, series.innovations, ".", color=SERIES[0], markersize=1.2, zorder=5)
-        _draw_bounds(axes, 2.0)
+        draw_bounds(axes, 2.0)
         axes.set(xlabel="Time (s)", ylabel="Error/σ")
 
     def draw_correlation(axes: Axes) -> None:
         axes.bar(np.arange(len(correlation)) + 1, correlation, 0.6, color=SERIES[0])
         axes.grid(False, axis="x")
-        _draw_bounds(axes, bound)
+        draw_bounds(axes, bound)
         axes.set(xlabel="Lag (samples)", ylabel="Autocorrelation", ylim=(-0.3, 0.3))
 
     errors, lags = (
@@ -202,11 +206,6 @@ def _residuals(identification: Identification) -> Picture:
         Panel("One-step errors", draw_errors, errors), Panel("Autocorrelation of the errors", draw_correlation, lags)
     ]  # fmt: skip
     return Picture("residuals", "", panels)
-
-
-def _draw_bounds(axes: Axes, bound: float) -> None:
-    for level in (-bound, bound):
-        axes.axhline(level, linewidth=0.8, color=MUTED, linestyle=DASHED)
 
 
 def _excited(identification: Identification) -> Picture:

@@ -19,7 +19,7 @@ from adaptrack.base.presentation import content_policy, printable
 from adaptrack.base.result import Column, Panel, Result, ResultTable
 from adaptrack.results import style, words
 from adaptrack.results.marks import Stroke
-from adaptrack.results.replay import replay_values
+from adaptrack.results.record import replay_values
 
 
 def write_result(out_dir: str | os.PathLike[str], result: Result, *, png: bool = True) -> Path:

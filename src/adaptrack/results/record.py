@@ -1,19 +1,24 @@
-"""A run along its road (pose, offset, steering, speed), and the road from above with the driven line."""
+"""A run along its road (pose, offset, steering, speed), the road from above with the driven line, and the replay."""
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Self
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.presentation import printable
 from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
@@ -178,20 +183,6 @@ ON_PAGE, IN_COLUMNS, IN_PRINT = (5.2, 4.0), (2.7, 4.0), (7.2, 5.0)
 """inch, width and largest height of the road from above: alone on the page, one of several, and a printed figure."""
 
 
-def check_one_road(drives: Sequence[DriveRecord]) -> None:
-    """Refuse drives that are not on one road.
-
-    Raises
-    ------
-    InvalidInput
-        When there is no drive, or they are not on one road.
-    """
-    if not drives:
-        raise InvalidInput("a page or picture of drives needs at least one.")
-    if any(drive.road is not drives[0].road for drive in drives):
-        raise InvalidInput("drives on one page must share their road: give all of them the same Road object.")
-
-
 def offset_scale(drives: Sequence[DriveRecord]) -> float:
     """The |e| (m) at the end of the colours: a round number above the largest of the drives that did not fail.
 
@@ -232,10 +223,13 @@ def above_picture(drives: Drives) -> Picture:
     Raises
     ------
     InvalidInput
-        As `check_one_road`.
+        When there is no drive, or they are not on one road.
     """
     records, alone = list(drives.values()), len(drives) == 1
-    check_one_road(records)
+    if not records:
+        raise InvalidInput("a page or picture of drives needs at least one.")
+    if any(drive.road is not records[0].road for drive in records):
+        raise InvalidInput("drives on one page must share their road: give all of them the same Road object.")
     ends, high = road_span(records), offset_scale(records)
     beyond = max(drive.max_offset for drive in records) > high
     scale = marks.ColourScale(0.0, high, "|e| (m)", colours="deviation", beyond="max" if beyond else "neither")
@@ -280,3 +274,156 @@ def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, e
         axes.annotate("failed", (x[-1], y[-1]), (6.0, -10.0), textcoords="offset points", fontsize=8.0)
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")
+
+
+# -- the replay -------------------------------------------------------------------------------------------------------
+# A column is rounded to a unit, its first differences are stored in the fewest bytes that hold them, and the bytes
+# stand in the page as base64. What draws them is shared with the page on which one drives (`adaptrack/export/page`).
+
+PERIOD = 0.05
+"""s, between the samples of a replay, which joins them by straight lines; a record may be denser."""
+
+REPLAY_UNITS = {
+    "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
+    "command": 1e-4, "planned_speed": 1e-2,
+}  # fmt: skip
+"""The units to which `REPLAYED_SIGNALS` are rounded (s, m, rad, m/s)."""
+
+SPEED_SIGNALS = (
+    "governed_speed", "longitudinal_acceleration", "grip_used", "friction_low", "friction_high", "friction",
+)  # fmt: skip
+"""Columns of a drive with a speed control, with the true friction (m/s, m/s^2, -)."""
+
+SPEED_SIGNAL_UNIT = 1e-3
+
+PREDICTED_UNIT = 1e-2
+"""m, to which predicted points are rounded."""
+
+SHADES = 9
+"""Colours of the trail, from no deviation to the largest."""
+
+SCRIPTS = ("history.js", "transport.js", "viewer.js", "plots.js")
+STYLE = "viewer.css"
+"""Files of `adaptrack/export/page` that draw a drive on both pages."""
+
+
+def replay_values(drives: Drives) -> dict[str, Any]:
+    """Return what the template `replay.html.j2` needs for drives on one road: data, script and style. A page holds one.
+
+    Raises
+    ------
+    InvalidInput
+        When a signal jumps by more than 2^31 of its units, 2,000 km for positions.
+    """
+    data = replay_data(drives)
+    # JSON inside an element: "<" could end it, an escape cannot
+    json_text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    script = "\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])
+    return {
+        **data, "json": Markup(json_text), "script": Markup(script), "style": Markup(_shared(STYLE)),
+        "beyond": max(drive.max_offset for drive in drives.values()) > data["top"],
+    }  # fmt: skip
+
+
+def replay_data(drives: Drives) -> dict[str, Any]:
+    """Return the data of the replay: the road's edges, the colour scale, and each car with outline and columns."""
+    from matplotlib.colors import to_hex
+
+    records, colours = list(drives.values()), marks.deviation_colours()
+    return {
+        "road": _road(records[0].road, road_span(records)),
+        "top": offset_scale(records),
+        "shades": [to_hex(colours(share)) for share in np.linspace(0.0, 1.0, SHADES)],
+        "period": round(float(np.median(np.diff(records[0].run.t[sample_indices(records[0])]))), 6),
+        "cars": [_car(label, drive) for label, drive in drives.items()],
+    }
+
+
+def pack_column(values: Array, unit: float) -> dict[str, Any]:
+    """A column as its first value and the first differences, in whole units, little-endian, in 1, 2 or 4 bytes each.
+
+    Raises
+    ------
+    InvalidInput
+        When a difference does not fit.
+    """
+    units = np.rint(values / unit).astype(np.int64)
+    steps = np.diff(units, prepend=units[:1])
+    size = next((n for n in (1, 2, 4) if np.abs(steps).max() < 2 ** (8 * n - 1)), None)
+    if size is None:
+        raise InvalidInput(f"replay: a signal jumps by {np.abs(steps).max() * unit:.3g} from one sample to the next.")
+    coded = base64.b64encode(steps.astype(f"<i{size}").tobytes()).decode()
+    return {"first": int(units[0]), "unit": unit, "size": size, "bytes": coded}
+
+
+def sample_indices(drive: DriveRecord) -> np.ndarray:
+    """The indices of the instants that the replay holds: the first of each `PERIOD`, and the last of all."""
+    time = drive.run.t
+    due = np.floor((time - time[0]) / PERIOD + 1e-6)
+    return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), time.size - 1])
+
+
+def _text(room: str, *path: str) -> str:
+    return files(room).joinpath(*path).read_text(encoding="utf-8")
+
+
+def _shared(name: str) -> str:
+    return _text("adaptrack.export", "page", name)
+
+
+def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
+    s = outline_stations(road, *ends)
+    left, right = road.edges(s)
+    points = road.at(s)
+    lines = {"x": points.x, "y": points.y, "left_x": left[:, 0], "left_y": left[:, 1]} | {
+        "right_x": right[:, 0], "right_y": right[:, 1],
+    }  # fmt: skip
+    return {"name": road.name, "closed": road.closed} | {name: pack_column(line, 1e-2) for name, line in lines.items()}
+
+
+def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
+    keep, shape = sample_indices(drive), drive.shape
+    columns = {name: read(drive.run) for name, read in REPLAYED_SIGNALS.items()}
+    columns |= {"yaw": np.unwrap(columns["yaw"])} | _speed_signals(drive.run)
+    return {
+        "name": printable(label),
+        "failed": None if drive.failure is None else drive.failure.time,
+        "outline": {
+            "front": shape.outline.front, "rear": shape.outline.rear, "width": shape.outline.width,
+            "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
+        },
+        "columns": {
+            name: pack_column(values[keep], REPLAY_UNITS.get(name, SPEED_SIGNAL_UNIT))
+            for name, values in columns.items()
+        },
+        "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
+    }  # fmt: skip
+
+
+def _speed_signals(run: Trajectory) -> dict[str, Array]:
+    """Those of `SPEED_SIGNALS` that are finite; none without a speed control."""
+    if "governed_speed" not in run.diagnostics:
+        return {}
+    signals = {"friction": run.friction.mean(axis=1), **run.diagnostics}
+    columns = {name: np.asarray(signals[name], dtype=float) for name in SPEED_SIGNALS}
+    return {name: values for name, values in columns.items() if np.isfinite(values).all()}
+
+
+def _predicted(paths: PredictedPaths, drive: DriveRecord, keep: np.ndarray) -> dict[str, Any] | None:
+    """Predicted paths in the car's axes, from the last sample at or before each, where their numbers change slowly."""
+    run = drive.run
+    usable = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= run.t[-1] + 1e-9)
+    samples = np.searchsorted(run.t[keep], paths.time[usable] + 1e-9, side="right") - 1
+    at, rows = np.unique(samples, return_index=True)
+    if not at.size or at[0] < 0:
+        return None
+    instants = keep[at]
+    gap = paths.points[usable][rows] - np.stack([run.X[instants], run.Y[instants]], axis=-1)[:, None]
+    c, s = portable.cos(run.psi[instants])[:, None], portable.sin(run.psi[instants])[:, None]
+    ahead, left = c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
+    points = [
+        {"ahead": pack_column(a, PREDICTED_UNIT), "left": pack_column(b, PREDICTED_UNIT)}
+        for a, b in zip(ahead.T, left.T, strict=True)
+    ]
+    every = int(np.median(np.diff(at))) if at.size > 1 else 1
+    return {"at": pack_column(at, 1), "every": every, "points": points}

@@ -14,7 +14,7 @@ from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import LEARNED
 from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.shadow import PREDICTOR_NAMES, PREDICTORS, Shadow, ShadowLog, Warned
+from adaptrack.identification.shadow import PREDICTOR_NAMES, PREDICTORS, Shadow, ShadowLog
 from adaptrack.results.identify import ESTIMATE_COLUMNS, quantity_row
 from adaptrack.results.marks import BACKGROUND_STROKE, BAND, REFERENCE_STROKE, SERIES, add_degrees, strokes
 from adaptrack.results.run_pictures import LABELS, thin_curve, turning_part
@@ -85,19 +85,16 @@ def _winner(log: ShadowLog) -> str:
     )
 
 
-def _warning_text(warning: Warned, log: ShadowLog) -> str:
-    """Describe a warning with its duration."""
-    if math.isnan(warning.seconds):
-        return f"{warning.what} (the whole log)"
-    return f"{warning.what} ({warning.seconds:.0f} of {log.time[-1]:.0f} s, from {warning.first:.0f} s on)"
-
-
 def _notes(shadow: Shadow) -> list[str]:
     """Return the notes for the reader."""
     several = len(shadow.logs) > 1
     notes = []
     for log in shadow.logs:
-        warned = "; ".join(_warning_text(warning, log) for warning in log.warnings)
+        warned = "; ".join(
+            f"{warning.what} (the whole log)" if math.isnan(warning.seconds) else
+            f"{warning.what} ({warning.seconds:.0f} of {log.time[-1]:.0f} s, from {warning.first:.0f} s on)"
+            for warning in log.warnings
+        )  # fmt: skip
         for sentence in (capital("; ".join(log.notes)), warned and f"Warnings of the controller: {warned}"):
             notes += [f"{f'{log.source}: ' if several else ''}{sentence}."] if sentence else []
     if shadow.spoiling:

@@ -9,6 +9,7 @@ import string
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -37,59 +38,15 @@ PANEL_SIZE = (4.5, 2.55)
 PNG_DPI = 200
 """Dots per inch of the PNG files."""
 
+_SHEET = Path(__file__).parent / "templates" / "style.mplstyle"
 RC: Any = {
-    "font.family": "DejaVu Sans",  # ships with matplotlib: the same picture on every machine
-    "font.size": 8.5,
-    "text.color": INK,
-    "mathtext.fontset": "dejavusans",
-    "axes.titlesize": 9.0,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlepad": 6.0,
-    "axes.labelsize": 8.5,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": MUTED,
-    "axes.linewidth": 0.7,
-    "axes.facecolor": "none",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.xmargin": 0.0,
-    "axes.ymargin": 0.08,
-    "axes.formatter.limits": (-4, 5),
-    "axes.prop_cycle": cycler(color=SERIES),
+    **mpl.rc_params_from_file(_SHEET, use_default_template=False),
+    **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INK),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), MUTED),
     "grid.color": PALE,
-    "grid.linewidth": 0.6,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 3.0,
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
-    "ytick.minor.size": 1.8,
-    "ytick.minor.width": 0.5,
-    "lines.linewidth": 1.3,
-    "lines.solid_capstyle": "round",
-    "lines.solid_joinstyle": "round",
-    "lines.dash_capstyle": "butt",
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "legend.handlelength": 1.8,
-    "legend.columnspacing": 1.6,
-    "legend.handletextpad": 0.6,
-    "legend.borderaxespad": 0.0,
-    "figure.facecolor": "white",
-    "figure.constrained_layout.use": True,
-    "savefig.facecolor": "white",
-    "svg.fonttype": "none",  # text stays text: it can be searched, copied and read aloud
-    "svg.hashsalt": "adaptrack",  # and has the same bytes whenever it is written
+    "axes.prop_cycle": cycler(color=SERIES),
 }
-"""The settings that differ from matplotlib's own."""
+"""The settings that differ from matplotlib's own: the style sheet, with the colours of `marks`."""
 
 FONTS = "DejaVu Sans, Verdana, Geneva, sans-serif"
 """Fonts of the text in pictures on pages: the one of the layout, and others that are as wide."""
