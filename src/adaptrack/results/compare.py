@@ -219,7 +219,7 @@ def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
     ]  # fmt: skip
     label = f"RMS error / RMS error of {reference}"
     caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
-    return marks.dots_picture("verdict", caption, dots, data_text(label), label, 1.0, "ratios.png")
+    return marks.dots_picture("verdict", caption, [(dots, data_text(label), label)], level=1.0, file="ratios.png")
 
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
@@ -349,17 +349,16 @@ def _driver_tables(condition: str, rows: Sequence[Row]) -> list[ResultTable]:
 
 def _drivers_picture(condition: str, rows: Sequence[Row]) -> Picture:
     """A panel for each measure with a dot for each driver, in the colour of the controller."""
-    colours, panels = marks.strokes(row["controller"] for row in rows), []
+    colours, charts = marks.strokes(row["controller"] for row in rows), []
     for column in [column for column in DRIVER_COLUMNS if any(row[column.name] for row in rows)]:
         values = [math.nan if row[column.name] is None else row[column.name] for row in rows]
         dots = [
             marks.Dot(row["driver"], value, colour=colours[row["controller"]]["color"], failed=row["failures"] > 0)
             for row, value in zip(rows, values, strict=True)
         ]
-        panel, size = marks.dots_panel(dots, f"{column.title} ({column.unit})", f"{column.meaning} ({column.unit})")
-        panels.append(panel)
-    caption = f"Profile {condition}. Smaller is better in every panel.{marks.caption_notes(dots)}"
-    return Picture(condition, caption, panels, [*colours.items()], f"drivers-{slug(condition)}.png", 2, size[1], size)
+        charts.append((dots, f"{column.title} ({column.unit})", f"{column.meaning} ({column.unit})"))
+    caption, file = f"Profile {condition}. Smaller is better in every panel.", f"drivers-{slug(condition)}.png"
+    return marks.dots_picture(condition, caption, charts, key=[*colours.items()], file=file)
 
 
 # -- costs of contenders ----------------------------------------------------------------------------------------------
@@ -382,4 +381,4 @@ def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Pict
         "hindsight."
     )
     words = f"{label}, geometric mean and 95 % interval"
-    return marks.dots_picture("verdict", caption, dots, data_text(label), words, 1.0)
+    return marks.dots_picture("verdict", caption, [(dots, data_text(label), words)], level=1.0)

@@ -273,42 +273,36 @@ class Dot(NamedTuple):
 
 
 def dots_picture(
-    name: str,
-    caption: str,
-    dots: Sequence[Dot],
-    label: str,
-    words: str = "",
-    level: float | None = None,
-    file: str = "",
-) -> Picture:
-    """A picture of `dots_panel`; the caption also explains crosses, arrows and omitted dots."""
-    panel, size = dots_panel(dots, label, words, level)
-    return Picture(name, caption + caption_notes(dots), [panel], (), file, 1, size[1], size)
+    name: str, caption: str, charts: Sequence[tuple[Sequence[Dot], str, str]], *, level: float | None = None,
+    key: Sequence[tuple[str, Stroke]] = (), file: str = "",
+) -> Picture:  # fmt: skip
+    """A picture of dots from the top down; the caption also explains crosses, arrows and omitted dots.
 
-
-def dots_panel(
-    dots: Sequence[Dot], label: str, words: str = "", level: float | None = None
-) -> tuple[Panel, tuple[float, float]]:
-    """The dots from the top down on one axis, which is logarithmic where they span more than a factor of five.
-
-    label: of the axis; words: before the numbers in the alternative text; level: where an upright line is drawn.
-    Returns the panel and its size on the page (inch).
+    charts: for each panel the dots, the label of the axis, and the words before the numbers in the description; level:
+    where an upright line is drawn. An axis is logarithmic where its dots span more than a factor of five.
     """
+    panels = [_dots_panel(*chart, [] if level is None else [level]) for chart in charts]
+    dots = charts[-1][0]
+    height = max(_MIN_HEIGHT, _AXIS_HEIGHT + _ROW_HEIGHT * len(_first_dots(dots)[0]))
+    columns = min(2, len(panels))
+    return Picture(name, caption + caption_notes(dots), panels, key, file, columns, height, (PICTURE_WIDTH, height))
+
+
+def _dots_panel(dots: Sequence[Dot], label: str, words: str, levels: Sequence[float]) -> Panel:
     rows, edge = _first_dots(dots)
 
     def draw(axes: Axes) -> None:
-        if level is not None:
+        for level in levels:
             axes.axvline(level, linewidth=0.9, **BACKGROUND_STROKE)
         for row, dot in enumerate(rows):
             _draw_dot(axes, dot, row, edge)
-        low, high, log = _limits(rows, edge, [] if level is None else [level])
+        low, high, log = _limits(rows, edge, levels)
         axes.set(xlabel=label, xlim=(low, high))
         if log:
             set_log_scale(axes, "x", (low, high))
         name_rows(axes, [data_text(legible(dot.name, _NAME_LETTERS)) for dot in rows])
 
-    panel = Panel("", draw, f"{words or label}. {'; '.join(map(_describe, rows))}.")
-    return panel, (PICTURE_WIDTH, max(_MIN_HEIGHT, _AXIS_HEIGHT + _ROW_HEIGHT * len(rows)))
+    return Panel("", draw, f"{words}. {'; '.join(map(_describe, rows))}.")
 
 
 def _draw_dot(axes: Axes, dot: Dot, row: int, edge: float) -> None:
