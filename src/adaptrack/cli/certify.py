@@ -18,7 +18,6 @@ from adaptrack.cli.options import argument, flag, json_flag, option, option_grou
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
-    from adaptrack.analysis.certify import Certificate
     from adaptrack.analysis.linearisation import Mismatch
 
 UNSTABLE = 1
@@ -44,7 +43,7 @@ class CertifiedLoop:
     )
 
     @property
-    def domain(self) -> dict[str, tuple[float, float]]:
+    def domain(self) -> dict[str, Any]:
         """Ranges of speed and friction on the command line, by name."""
         ends = {"speed": self.speed, "friction": self.friction}
         return {name: interval for name, interval in ends.items() if interval is not None}
@@ -101,7 +100,13 @@ def certify(
     )  # fmt: skip
     show.say_result(result, as_json, out)
     if not certificate.passed:
-        _print_worst_point(certificate)
+        point = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
+        tuning = ", ".join(f"{name} = {point[name]:g}" for name in ("Np", "Nc", "Q", "R"))
+        show.say_failed(
+            f"{certificate.verdict} Worst: {point['speed']:g} m/s on friction {point['friction']:g}, with {tuning}: "
+            f"spectral radius {point['radius'] or math.inf:.4f}.",
+            aside=True,
+        )
         raise typer.Exit(UNSTABLE)
 
 
@@ -122,25 +127,13 @@ def _controller(name: str | None, car: at.Vehicle, profile: str, schedule: at.Sc
     return at.published_mpc(car, period=at.load_profile(profile).period, **sizes)
 
 
-def _print_worst_point(certificate: Certificate) -> None:
-    """Print the verdict of a failed certificate and its worst point."""
-    point = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
-    tuning = ", ".join(f"{name} = {point[name]:g}" for name in ("Np", "Nc", "Q", "R"))
-    show.say_failed(
-        f"{certificate.verdict} Worst: {point['speed']:g} m/s on friction {point['friction']:g}, with {tuning}: "
-        f"spectral radius {point['radius'] or math.inf:.4f}.",
-        aside=True,
-    )
-
-
 def _print_feasible(plant: Any, mpc: at.MPC, loop: CertifiedLoop, as_json: bool) -> None:
     """Print the best tuning at each speed and friction; exit code 1 if no tuning is good enough somewhere."""
     from adaptrack.analysis.feasibility import feasibility
 
-    domain: dict[str, Any] = loop.domain
     with show.progress("feasible") as advance:
         result = feasibility(
-            plant, mpc, loop.profile, mismatches=loop.mismatches(mpc), progress=advance, **domain
+            plant, mpc, loop.profile, mismatches=loop.mismatches(mpc), progress=advance, **loop.domain
         )  # fmt: skip
     if as_json:
         show.say_json(result.summary())

@@ -76,7 +76,11 @@ def drive(arguments: DriveOptions) -> None:
     runs = list(_drive(settings, loop, arguments.place.route.assumed_interval))
     rows = [measured_row(run, places) for run in runs]
     failed = any(row["failed"] for row in rows)
-    _say_failures(rows, settings.as_json)
+    for row in rows:
+        if row["failed"]:
+            where = "" if row["driven_length"] is None else f", s = {row['driven_length']:.0f} m,"
+            failure = f"at {row['failed_at']:.2f} s{where} the vehicle {row['failed_because']}"
+            show.say_failed(f"{row['scenario']}, {row['controller']}: {failure}.", aside=settings.as_json)
     result = _result(arguments, loop, runs, rows)
     show.say_result(result, settings.as_json, settings.out, png=settings.png)
     if not failed:
@@ -202,14 +206,6 @@ def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
         **{key: None if value is None or not math.isfinite(value) else value for key, value in run.following.items()},
         "stops": [{**stop._asdict(), "error": None if math.isnan(stop.error) else stop.error} for stop in run.stops],
     }
-
-
-def _say_failures(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
-    for row in rows:
-        if row["failed"]:
-            where = "" if row["driven_length"] is None else f", s = {row['driven_length']:.0f} m,"
-            failure = f"at {row['failed_at']:.2f} s{where} the vehicle {row['failed_because']}"
-            show.say_failed(f"{row['scenario']}, {row['controller']}: {failure}.", aside=as_json)
 
 
 def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:

@@ -196,14 +196,11 @@ def shadow(arguments: ShadowOptions) -> None:
             without=parts(arguments.without), profile=arguments.profile, computation=arguments.computation,
             progress=advance,
         )  # fmt: skip
-    identify_words = [
-        *arguments.log, "--car", arguments.vehicle, *option_words(arguments.log_columns),
-        *option_words(arguments, "computation"),
-    ]  # fmt: skip
+    computation = option_words(arguments, "computation")
     result = add_command(
         shadow_result(report), "shadow", is_spoiled=report.spoiling, has_no_page=arguments.out is None,
         is_plausible=report.believable, without=",".join([*parts(arguments.without), *report.spoiling]),
-        identify=identify_words,
+        identify=[*arguments.log, "--car", arguments.vehicle, *option_words(arguments.log_columns), *computation],
     )  # fmt: skip
     show.say_result(result, arguments.as_json, arguments.out)
     if not report.believable:
@@ -249,5 +246,5 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     if check.contradictions:
         raise typer.Exit(EXIT_FAILED)
     if not arguments.as_json:
-        columns_words = option_words(arguments.log_columns)
-        say_next("check-loop", log=arguments.log, vehicle=arguments.vehicle, columns=columns_words)
+        words = option_words(arguments.log_columns)
+        say_next("check-loop", log=arguments.log, vehicle=arguments.vehicle, columns=words)

@@ -121,7 +121,7 @@ def repeat_command(words: Sequence[str]) -> list[str]:
     line = ["adaptrack", *sys.argv[1:]]
     for word, value in zip(words, [*words[1:], "--"], strict=True):
         if word.startswith("~"):
-            line = [kept for kept in line if kept != word[1:]]
+            line = [entry for entry in line if entry != word[1:]]
         elif not word.startswith("--"):
             continue  # the value of the option before it
         elif value.startswith(("--", "~")):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
@@ -13,12 +13,10 @@ from typing import Any
 from adaptrack.base.presentation import printable as escaped
 from adaptrack.base.progress import TrackedWork, Update, reported, shown_progress
 from adaptrack.base.progress import duration as duration
-from adaptrack.base.result import Column, Result, ResultTable, to_json
+from adaptrack.base.result import Column, Result, ResultTable, Row, to_json
 from adaptrack.results.console import print_result, print_table, say, say_failed
 
 __all__ = ["Column", "say", "say_failed"]
-
-TableRows = Sequence[Mapping[str, Any]]
 
 
 # -- text and tables --------------------------------------------------------------------------------------------------
@@ -43,17 +41,16 @@ def say_json(values: Any) -> None:
     print(json.dumps(values, allow_nan=False))
 
 
-def printable(text: str) -> str:
-    """Return the text with control and invalid characters as escape sequences."""
-    return escaped(text, keep="\n")
+printable = partial(escaped, keep="\n")
+"""Return a text with control and invalid characters as escape sequences."""
 
 
-def table(title: str, columns: Sequence[Column], rows: TableRows) -> None:
+def table(title: str, columns: Sequence[Column], rows: Sequence[Row]) -> None:
     """Print a table, see `results.console.print_table`."""
     print_table(ResultTable("", title, columns, rows))
 
 
-def listing(title: str, rows: TableRows, as_json: bool) -> None:
+def listing(title: str, rows: Sequence[Row], as_json: bool) -> None:
     """Print rows with all their entries as columns."""
     if as_json:
         say_json({"rows": rows})
