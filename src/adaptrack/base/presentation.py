@@ -24,15 +24,7 @@ def html_of(value: Any) -> str:
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Return text in which unprintable characters are replaced by escapes such as ``\x1b``.
-
-    Parameters
-    ----------
-    text
-        Any text.
-    keep
-        Control characters that are not replaced, such as line ends.
-    """
+    r"""Return text in which unprintable characters, but those in `keep`, are replaced by escapes such as ``\x1b``."""
     if text.isprintable():
         return text
     return "".join(c if c in keep or not _is_control(c) else ascii(c)[1:-1] for c in text)
@@ -46,14 +38,8 @@ def _is_control(character: str) -> bool:
 def content_policy(scripts: Iterable[str], script_sources: str = "", *directives: str) -> str:
     """Return the Content-Security-Policy of a page that runs these inline scripts only and loads nothing.
 
-    Parameters
-    ----------
-    scripts
-        Text of each inline script.
-    script_sources
-        Additional sources of scripts, separated by blanks.
-    directives
-        Additional directives of the policy.
+    scripts: text of each inline script; script_sources: additional sources of scripts, separated by blanks;
+    directives: additional directives of the policy.
     """
     hashes = [f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts]
     sources = " ".join([*hashes, *script_sources.split()]) or "'none'"

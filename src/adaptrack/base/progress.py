@@ -95,11 +95,9 @@ class TrackedWork:
         """Return a line for the user: label and stage, completed share, time left."""
         name = self.label if self.stage == self.label else f"{self.label}, {self.stage}"
         left = self.time_left()
-        duration_text = (
-            f"{time.monotonic() - self.start_time:.0f} s so far" if left is None else f"about {duration(left)} left"
-        )
+        elapsed = f"{time.monotonic() - self.start_time:.0f} s so far"
         share = f" {100.0 * self.share:.0f} %," if 0.0 < self.share < 1.0 else ""
-        return f"{name}:{share} {duration_text}"
+        return f"{name}:{share} {elapsed if left is None else f'about {duration(left)} left'}"
 
 
 def duration(seconds: float) -> str:
@@ -132,27 +130,28 @@ def shown_progress(
 
 @contextmanager
 def reported(
-    work: TrackedWork, report: Callable[[TrackedWork, bool], None], interval: float | None = None
+    work: TrackedWork, report: Callable[[TrackedWork], object], interval: float | None = None
 ) -> Iterator[Update]:
     """Report the progress of the `with` block from a thread; yields the function that takes the progress.
 
     Parameters
     ----------
     report
-        Called with the work and whether it has ended: first after `FIRST_PAUSE`, then at intervals and at the end.
+        Called with the work: first after `FIRST_PAUSE`, then at intervals.
     interval
-        Time between calls (s). If None, it grows from `NEXT_PAUSE` to `LONGEST_PAUSE`.
+        Time between calls (s), with a last one at the end. If None, it grows from `NEXT_PAUSE` to `LONGEST_PAUSE`.
     """
     end, start_time = threading.Event(), time.monotonic()
 
     def report_until_end() -> None:
         pause, is_reported = FIRST_PAUSE, False
         while not end.wait(pause):
-            report(work, False)
+            report(work)
             growing = min(max(NEXT_PAUSE, 0.1 * (time.monotonic() - start_time)), LONGEST_PAUSE)
             pause, is_reported = growing if interval is None else interval, True
-        if is_reported:
-            report(work, True)
+        if is_reported and interval is not None:
+            work.share = 1.0
+            report(work)
 
     thread = threading.Thread(target=report_until_end, daemon=True)
     thread.start()
@@ -164,24 +163,20 @@ def reported(
 
 
 def _show(work: TrackedWork) -> AbstractContextManager[Update]:
-    return reported(work, _notebook_bar(), interval=1.0) if _is_notebook() else reported(work, _log_report)
+    """Show a bar in a notebook; elsewhere log WARNINGs, which Python prints to standard error by default."""
+    if _is_notebook():
+        return reported(work, _notebook_bar(), interval=1.0)
+    return reported(work, lambda work: _log.warning("adaptrack: %s", work.status_line()))
 
 
-def _log_report(work: TrackedWork, ended: bool) -> None:
-    """Log the progress as a WARNING, which Python prints to standard error by default; nothing at the end."""
-    if not ended:
-        _log.warning("adaptrack: %s", work.status_line())
-
-
-def _notebook_bar() -> Callable[[TrackedWork, bool], None]:
+def _notebook_bar() -> Callable[[TrackedWork], None]:
     """Return a function that draws and updates a progress bar below the notebook cell."""
     from IPython.display import HTML, display
 
     handles: list[Any] = []
 
-    def report(work: TrackedWork, ended: bool) -> None:
-        share = 1.0 if ended else work.share
-        bar = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(work.status_line())}')
+    def report(work: TrackedWork) -> None:
+        bar = HTML(f'<progress value="{work.share:.3f}" max="1"></progress> {html.escape(work.status_line())}')
         if handles:
             handles[0].update(bar)
         else:

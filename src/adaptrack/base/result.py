@@ -73,23 +73,15 @@ def best_entries(
 ) -> frozenset[tuple[int, str]]:
     """Return all pairs (row index, column name) of the best values; a column with one value only has none.
 
-    Parameters
-    ----------
-    picks
-        For each column the function that picks its best value, min or max; None is no value.
-    group
-        Name of a column: rows with the same value in it compete with each other; all rows if empty.
-    competes
-        Condition that rows must fulfil.
+    picks: for each column the function that picks its best value, min or max; group: name of a column, rows with the
+    same value in it compete with each other, all rows if empty; competes: condition that rows must fulfil.
     """
     best = set()
     for name, pick in picks.items():
         competing = [(i, row) for i, row in enumerate(rows) if competes(row) and row.get(name) is not None]
-        values: dict[Any, list[Any]] = {}
-        for _, row in competing:
-            values.setdefault(row.get(group), []).append(row[name])
-        if len({row[name] for _, row in competing}) > 1:
-            best |= {(i, name) for i, row in competing if row[name] == pick(values[row.get(group)])}
+        for i, row in competing if len({row[name] for _, row in competing}) > 1 else ():
+            rivals = [other[name] for _, other in competing if other.get(group) == row.get(group)]
+            best |= {(i, name)} if row[name] == pick(rivals) else set()
     return frozenset(best)
 
 

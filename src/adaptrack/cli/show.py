@@ -111,6 +111,5 @@ def _bar(work: TrackedWork) -> Iterator[Update]:
         yield update
 
 
-def _print_line(work: TrackedWork, ended: bool) -> None:
-    if not ended:
-        print(f"adaptrack: {printable(work.status_line())}", file=sys.stderr, flush=True)
+def _print_line(work: TrackedWork) -> None:
+    print(f"adaptrack: {printable(work.status_line())}", file=sys.stderr, flush=True)
