@@ -415,7 +415,8 @@ def overview_table(scenarios: Mapping[str, Sequence[Run]]) -> ResultTable:
             columns.append(Column(f"paper {name}", "MSE in paper", "m²", "given"))
         for run in runs:
             row = rows.setdefault(run.label, {"label": run.label})
-            row |= {f"mse {name}": run.measures.as_row(), f"paper {name}": papers[run.label]}
+            error = {"mse": run.measures.mse, "failed": run.measures.failed}
+            row |= {f"mse {name}": error, f"paper {name}": papers[run.label]}
     empty = dict.fromkeys(column.name for column in columns)
     return errors_table(
         "overview", "Mean square error (MSE)", columns, [empty | row for row in rows.values()], "", _BOLD
