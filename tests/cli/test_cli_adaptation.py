@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from functools import partial
 from html import unescape
@@ -85,7 +86,7 @@ def test_certify_passes_a_sound_scheduler_and_prints_the_points_nearest_to_insta
     assert {row["Np"] for row in result["rows"]} == {38.0}
     _, out, _ = run_command("certify", mine, "--out", tmp_path / "page")
     assert "Passed: the closed loop is stable at all 8 points of the operating domain driving straight" in out
-    assert "mine, driving straight (verdict): points nearest to instability" in out
+    assert "mine: points with the smallest modulus margin" in out
     assert "Passed" in (tmp_path / "page" / "index.html").read_text()
     assert list((tmp_path / "page").glob("*.png"))
 
@@ -116,8 +117,9 @@ def test_certify_says_the_same_on_the_console_in_the_json_and_on_the_page(run_co
         in result["verdict"]
     )
     assert result["verdict"] in unescape((tmp_path / "page" / "index.html").read_text())
-    rows = [line.split() for line in out.splitlines() if line.startswith(("straight", "turn"))]
-    assert [row[0] for row in rows] == 5 * ["straight"] + 5 * ["turn"]
+    _, *parts = re.split(r"Without a guard, (driving straight|in a hard turn)\n", out)
+    assert parts[::2] == ["driving straight", "in a hard turn"]
+    assert [len(re.findall(r"^ *[\d.]+ +[\d.]+ +30 +10 ", part, re.MULTILINE)) for part in parts[1::2]] == [8, 8]
 
 
 def test_certify_without_a_scheduler_is_about_the_constant_of_the_controller_that_knows_its_car(
