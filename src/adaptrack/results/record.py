@@ -318,9 +318,11 @@ def replay_values(drives: Drives) -> dict[str, Any]:
     data = replay_data(drives)
     # JSON inside an element: "<" could end it, an escape cannot
     json_text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    script = "\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])
+    page, templates = files("adaptrack.export") / "page", files("adaptrack.results") / "templates"
+    scripts = [*(page / name for name in SCRIPTS), templates / "replay.js"]
+    script = "\n".join(file.read_text(encoding="utf-8") for file in scripts)
     return {
-        **data, "json": Markup(json_text), "script": Markup(script), "style": Markup(_shared(STYLE)),
+        **data, "json": Markup(json_text), "script": Markup(script), "style": Markup((page / STYLE).read_text("utf-8")),
         "beyond": max(drive.max_offset for drive in drives.values()) > data["top"],
     }  # fmt: skip
 
@@ -361,14 +363,6 @@ def sample_indices(drive: DriveRecord) -> np.ndarray:
     time = drive.run.t
     due = np.floor((time - time[0]) / PERIOD + 1e-6)
     return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), time.size - 1])
-
-
-def _text(room: str, *path: str) -> str:
-    return files(room).joinpath(*path).read_text(encoding="utf-8")
-
-
-def _shared(name: str) -> str:
-    return _text("adaptrack.export", "page", name)
 
 
 def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
