@@ -152,6 +152,25 @@ def lap(seed: int, lateral: float) -> RoadDrive:
     return RoadDrive(road, plan_speed(road, CAR, Comfort(lateral=lateral)))
 
 
+class SameSlope(MPC):
+    """An MPC that is told so much friction that its prediction keeps the slope at no slip."""
+
+    def step(self, state, *inputs, **road):
+        return super().step(np.append(state[: MEASUREMENT.friction], 1e9), *inputs, **road)
+
+
+def test_on_a_straight_nothing_changes():
+    road = Road.from_segments([Line(length=200.0), Arc(length=60.0, curvature=1.0 / RADIUS)])
+    runs = [
+        simulate(DualTrack(CAR), kind(CAR, profile="road"), RoadDrive(road, 15.0), profile="road", seed=2)
+        for kind in (MPC, SameSlope)
+    ]
+    differs = runs[0].steering != runs[1].steering
+    first = int(np.argmax(differs))
+    assert differs.any()
+    assert 150.0 < runs[0].road["station"][first] < 200.0  # the bend comes into the horizon
+
+
 @pytest.mark.parametrize("seed", [1, 3, 7])
 def test_the_lap_on_which_the_loop_swung_off_the_road_is_driven_within_15_centimetres(seed):
     drive = lap(5, 7.0)
