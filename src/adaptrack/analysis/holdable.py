@@ -2,7 +2,7 @@
 
 Braking shifts load from the rear axle to the front, so a neutral car oversteers. The controller's model neglects this.
 The table contains modulus margins of the loop, linearised about steady turns with braking (`linearisation.Steady`). The
-gains of the estimator are those in the turn.
+gains of the estimator are those in the turn, and so is the slope of the rear tyres in the prediction.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
+from adaptrack.control.models import PathModel
+from adaptrack.core.controllers.informed import rear_slope
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.holdable_speed import HoldableSpeed
@@ -149,7 +151,8 @@ def _margins(
         return None
     # The gains of the estimator change slowly, so they are those of the turn before braking.
     turn_gains = estimator.with_turn_gains(without_braking.measured(plant, mpc.period), without_braking.steering)
-    law = laws(mpc, speed, mpc.tuning.as_array(), turn_gains)
+    slope = rear_slope(lateral, float(mpc.estimator.tyres[0])) if isinstance(mpc.model, PathModel) else 1.0
+    law = laws(mpc, speed, mpc.tuning.as_array(), turn_gains, slope)
 
     def margin(share: float) -> float:
         try:

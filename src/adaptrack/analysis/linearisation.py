@@ -23,7 +23,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.control.models import PredictionModel, laguerre_basis
+from adaptrack.control.models import PathModel, PredictionModel, laguerre_basis
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.models import contract
@@ -183,7 +183,7 @@ class Steady(NamedTuple):
         return cls(speed, friction, deceleration, *turn)
 
     def measured(self, plant: Plant, period: float) -> Array:
-        """Return the signals of the controller, (9,), as in `core.models.contract.MEASUREMENT`; period in s."""
+        """Return the signals of `sensed` and how far the path has turned (rad), (9,); period in s."""
         states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
         yaw_rate = states["yaw_rate"]
         signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
@@ -191,7 +191,7 @@ class Steady(NamedTuple):
             "wheel_angle": self.steering,
         }
         signals |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
-        return np.array([signals.get(name, 0.0) for name in contract.MEASUREMENT._fields])
+        return np.array([signals.get(name, 0.0) for name in (*sensed(), "turned")])
 
 
 def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]:
@@ -429,7 +429,7 @@ def _hold_flow(flow: Array, period: float, delay: float) -> Array:
 
 def sensed() -> tuple[str, ...]:
     """Return the names of the sensor signals, see `core.models.contract.MEASUREMENT`."""
-    return tuple(name for name in contract.MEASUREMENT._fields if name != "turned")  # given by the path, not a sensor
+    return contract.MEASUREMENT._fields[: contract.MEASUREMENT.turned]  # the path and the speed control give the rest
 
 
 def _road(friction: float) -> Array:
@@ -671,12 +671,14 @@ class LinearControllers:
         return LinearControllers(self.estimator, self.k[rows])
 
 
-def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> LinearControllers:
+def laws(
+    mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None, rear_slope: float = 1.0
+) -> LinearControllers:
     """Return the linear controllers of an MPC with n tunings at one speed (m/s).
 
     The tunings are Np, Nc, Q and R, (n, 4), with whole horizons and 1 <= Nc <= Np. A controller that learns is analysed
     in its initial state: with its initial belief, and R times its initial caution factor. estimator: None for
-    `linear_estimator` at this speed
+    `linear_estimator` at this speed; rear_slope: of the rear tyres in the prediction, see `informed.rear_slope`
     """
     caution = mpc.first_caution
     rows = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
@@ -684,7 +686,8 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator 
     longest = int(horizons[:, 0].max())
     estimator = linear_estimator(mpc, speed) if estimator is None else estimator
     of_next = mpc.estimator.function is not None
-    free, step = mpc.model.responses(max(speed, mpc.speed_floor), longest, of_next)
+    model = mpc.model.with_rear_slope(rear_slope) if isinstance(mpc.model, PathModel) else mpc.model
+    free, step = model.responses(max(speed, mpc.speed_floor), longest, of_next)
     below = np.subtract.outer(np.arange(longest), np.arange(longest))
     phi = np.where(below >= 0, step[below], 0.0)
     gains = np.empty((len(rows), mpc.model.n + 1))

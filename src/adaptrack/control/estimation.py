@@ -34,8 +34,8 @@ from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
 
-NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0, 0.0])
-"""Sensors without a sample, their ages, and a path that does not turn, see `core.models.contract.MEASUREMENT`."""
+NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0] * 4)
+"""`core.models.contract.MEASUREMENT` without a sample, on a path that does not turn, with an unknown friction."""
 LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
 """m/s and rad/s: with better sensors than these, the model's own errors are what limits the filter."""
 

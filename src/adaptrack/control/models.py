@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, final
 
 import numpy as np
@@ -215,6 +215,10 @@ class PathModel(PredictionModel):
     def parameters(self) -> Array:
         numbers = [getattr(self.vehicle, name) for name in SingleTrackCar._fields]
         return np.array([*numbers, self.lag], dtype=float)
+
+    def with_rear_slope(self, slope: float) -> PathModel:
+        """Return the model with rear tyres whose stiffness is multiplied by `slope`."""
+        return replace(self, vehicle=self.vehicle.replace(stiffness_rear=slope * self.vehicle.stiffness_rear))
 
     def turning(self) -> Array:
         numbers = np.zeros(size_of(path.Turning))

@@ -42,6 +42,7 @@ from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
 from adaptrack.core.kernel import Resident, direct
+from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.scheduling.functions import VARIABLE_NAMES
 from adaptrack.core.scheduling.guard import COUNTS
 from adaptrack.core.scheduling.schedule import schedule
@@ -60,8 +61,8 @@ _HILDRETH = {
 }  # fmt: skip
 """What a kernel does with Hildreth's answers, by `QPSolver.on_uncertified`."""
 _DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
-_STATE_SIZES = (4, 5, 6, 7, 8, 9)
-"""with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASUREMENT`)"""
+_STATE_SIZES = tuple(range(4, len(MEASUREMENT) + 1))
+"""the first four of `core.models.contract.MEASUREMENT`, or more of them"""
 _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
     "_own_part", "functions",

@@ -14,12 +14,25 @@ from ..estimators import kalman, learning
 from ..estimators.extended_kalman import IMPOSSIBLE_SIGNAL, IMPOSSIBLE_SPEED, call_estimate
 from ..kernel import exported, float64, inlined, int64, void
 from ..maths.bits import whole
+from ..maths.exact import clip, floor, sqrt
+from ..maths.exponential import exp
 from ..models import path
 from ..models.contract import MEASUREMENT
+from ..physics.forces import GRAVITY
+from ..physics.tyre import brush_slope
 from ..qp import problem as qp
 from . import prediction
 from .constraints import sample_at
 from .mpc import MPC_ANSWER, MPC_PLACE, Functions, begin_learning
+
+LEAST_REAR_SLOPE = 0.3
+"""Of the rear tyres in the prediction, over that of the car file at no slip; below it moves grow and errors do not."""
+SLOPE_WINDOW = 0.5
+"""s, of the road behind the dead time, over which the lateral acceleration is averaged."""
+SHARES = 64.0
+"""The share of the grip is rounded down to 1/64: on straights the prediction has the slope at no slip."""
+MAX_SLOPE_RATE = 1.0
+"""1/s, of the slope over that at no slip: a friction that jumps moves the wheels gently."""
 
 
 @inlined
@@ -113,6 +126,68 @@ def _widen_first_move(slot, mpc):
 
 
 @inlined
+def _assumed_friction(slot, mpc):
+    """Return the friction that the tyres may be assumed to have at least; 0 where they are linear.
+
+    It comes from the measurement, else from the learner (its mean less a standard deviation), else from the filter.
+    """
+    friction = path.turning_of(mpc.feed.turning, 0).friction
+    if friction > 0.0 and mpc.measured[MEASUREMENT.friction] > 0.0:
+        return mpc.measured[MEASUREMENT.friction]
+    if friction > 0.0 and mpc.settings.learns > 0:
+        beliefs = learning.memory_of(mpc.informed.learned[slot], 0).beliefs
+        return beliefs.belief_friction * exp(-beliefs.belief_friction_sigma)
+    return friction
+
+
+@exported(float64(float64, float64))
+def rear_slope(acceleration, friction):
+    """Return the slope of the rear tyres in the prediction, over that at no slip, at a lateral acceleration (m/s^2)."""
+    used = min(abs(acceleration) / (friction * GRAVITY), 1.0) if friction > 0.0 else 0.0
+    return max(brush_slope(floor(used * SHARES) / SHARES), LEAST_REAR_SLOPE)
+
+
+@inlined
+def _slope_ahead(slot, mpc):
+    """Return the slope of the rear tyres' curve on the road ahead, over their slope at no slip.
+
+    It is that of a brush tyre at the lateral acceleration which the road behind the dead time asks for on average. On a
+    straight it is 1.
+    """
+    settings, bend, memory = mpc.settings, mpc.bend, mpc.memory[slot]
+    if settings.feeds_forward == 0:
+        return 1.0
+    count = min(max(whole(SLOPE_WINDOW / settings.period + 0.5), 1), bend.size - 2)
+    turn = bend[count + 1] - bend[count] - bend[1] + bend[0]  # the sum of the second differences
+    slope = rear_slope(turn / (count * settings.period * settings.period), _assumed_friction(slot, mpc))
+    if settings.learns > 0:
+        beliefs = learning.memory_of(mpc.informed.learned[slot], 0).beliefs
+        least = LEAST_REAR_SLOPE * sqrt(beliefs.used_balance) / beliefs.used_stiffness
+        slope = min(max(slope, least), 1.0)
+    if memory.started == 0:
+        return slope
+    change = MAX_SLOPE_RATE * settings.period
+    return clip(slope, memory.rear_slope - change, memory.rear_slope + change)
+
+
+@inlined
+def _form_model(slot, speed, slope, mpc, functions):
+    """Form the matrices of the QP with a slope of the rear tyres; the estimator keeps their slope at no slip."""
+    if slope == 1.0:
+        prediction.form_model(slot, speed, True, mpc, functions)
+        _keep_model(slot, mpc)
+    else:
+        prediction.discretise(speed, mpc, functions)
+        _keep_model(slot, mpc)
+        car = path.parameters_of(mpc.parameters, 0)
+        stiffness = car.stiffness_rear
+        car.stiffness_rear = slope * stiffness
+        prediction.form_model(slot, speed, True, mpc, functions)
+        car.stiffness_rear = stiffness
+    mpc.memory[slot].rear_slope = slope
+
+
+@inlined
 def form_informed(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
     settings, memory = mpc.settings, mpc.memory[slot]
@@ -124,9 +199,9 @@ def form_informed(slot, speed, reference, tuning, mpc, functions):
     if status != qp.SOLVED:
         _estimate_alone(slot, speed, mpc, functions)
         return status, n, m
-    if not prediction.is_formed(slot, speed, mpc):
-        prediction.form_model(slot, speed, True, mpc, functions)
-        _keep_model(slot, mpc)
+    slope = _slope_ahead(slot, mpc)
+    if not prediction.is_formed(slot, speed, mpc) or memory.rear_slope != slope:
+        _form_model(slot, speed, slope, mpc, functions)
     _estimate(slot, memory.speed, mpc, functions)
     prediction.compare(slot, _next_increment(slot, mpc), reference, mpc)
     prediction.limit_moves(slot, mpc)

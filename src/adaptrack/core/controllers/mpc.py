@@ -101,6 +101,7 @@ MEMORY = record(
         "started",  # 1 after the first step
         "command",  # rad, the last one
         "speed", *MPCTuning._fields,  # what the workspace holds for this slot; NaN: nothing
+        "rear_slope",  # of the rear tyres in its prediction, over their slope at no slip
         "factor_status", "condition",  # of the Hessian
         "active", "has_factor",  # active rows of the last solution, and whether their factor still belongs to E
         "planned", "age",  # entries of the last plan (0: none), and periods since it was made

@@ -21,8 +21,9 @@ MEASUREMENT = columns(
     "lateral_acceleration",  # m/s^2, of an accelerometer: it does not feel the pull of a banked road
     "pose_age", "motion_age",  # s, how old yaw and y are, and all others
     "turned",  # rad, heading of the path at the foot of the car now less that of a period ago
+    "friction",  # of the road, that may be assumed at least; 0: unknown
 )  # fmt: skip
-"""What the sensors give; what is missing is not finite. On a curved road yaw and y count from the path."""
+"""What a controller is given; a missing signal is not finite. On a curved road yaw and y count from the path."""
 
 PERIOD_FIELD = Field("period", "s", 0.05, "control period", "[1e-4, 10]")
 

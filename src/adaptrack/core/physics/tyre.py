@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ..kernel import inlined
 from ..maths.exact import sqrt
+from ..maths.exponential import exp, log
 from ..maths.fast import fast_arctangent_of_ratio, fast_sine
 
 LEAST_LOAD = 1.0
@@ -51,6 +52,15 @@ def lateral_force(slip, load, friction, stiffness, c, law):
     if law == CURVED_MAGIC_FORMULA:
         reach = reach - c.curvature * (reach - scale * fast_arctangent_of_ratio(reach, scale))
     return peak * fast_sine(c.shape * fast_arctangent_of_ratio(reach, scale))
+
+
+@inlined
+def brush_slope(used: float) -> float:
+    """Slope of a brush tyre's curve where it uses a share of its grip, over the slope at no slip: (1 - used)^(2/3).
+
+    Its force is mu F_z (1 - (1 - z)^3) with z proportional to the slip (Pacejka, section 3.2). 0 from used = 1 on.
+    """
+    return exp(2.0 / 3.0 * log(1.0 - used)) if used < 1.0 else 0.0
 
 
 @inlined

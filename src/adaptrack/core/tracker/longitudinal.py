@@ -13,6 +13,7 @@ from ..kernel import Place, exported, fields_of, inlined, packer, record, rows, 
 from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
+from ..models.contract import MEASUREMENT
 from ..roads.road import foot_near, point_at
 from ..speed import speed_control as control
 from ..speed.friction import FrictionEstimate, begin_friction, narrow_friction
@@ -235,6 +236,7 @@ def narrow_tracked_friction(tracker, learned, longitudinal):
     if m.instant == 0:
         longitudinal.friction.memory[0].running = 0.0
     narrow_friction(tracker.measured, forward(m), m.command, learned, longitudinal)
+    tracker.measured[MEASUREMENT.friction] = longitudinal.friction.memory[0].low
 
 
 @exported(void(Place(TrackerRecord), Place(Longitudinal)))

@@ -29,7 +29,7 @@ TRACKER_SAMPLE = columns(
     Field("lateral_acceleration", "m/s^2", math.nan, "positive to the left, without the pull of a bank", _SIGNAL),
     Field("wheel_angle", "rad", math.nan, "of the road wheels, positive to the left; the first command is near it",
           _SIGNAL),
-    Field("friction", "", math.nan, "of tyre and road, for a controller with a schedule"),
+    Field("friction", "", math.nan, "of tyre and road, for a schedule and for the prediction in bends"),
     Field("wind", "m/s", math.nan, "of the air to the left, for a controller with a schedule"),
     Field("motion_time", "s", math.nan, "when speed and all other signals of the motion were taken; NaN: t"),
     Field("longitudinal_acceleration", "m/s^2", math.nan, "dv/dt without gravity, for a speed control", _SIGNAL),
