@@ -163,12 +163,15 @@ def contradictions(subject: str, prior: Moments, statements: Sequence[Moments]) 
     """
     tests = []
     for name in [name for name in prior if name in MODEL_ERRORS]:
-        freed = [_freed(*prior[name], *statement[name]) for statement in statements if name in statement]
-        informed = [(value, variance) for value, variance in freed if math.isfinite(variance)]
-        if len(informed) > 1:
-            tests.append((name, np.array(informed).T))
+        believed, spread = prior[name]
+        stated = np.array([statement[name] for statement in statements if name in statement]).reshape(-1, 2)
+        is_informed = (stated[:, 1] > 0.0) & (stated[:, 1] < MAX_SPREAD_LEFT * MAX_SPREAD_LEFT * spread)
+        mean, variance = stated[is_informed].T
+        if mean.size > 1:
+            precision = 1.0 / variance - 1.0 / spread  # without the prior
+            tests.append((name, (mean / variance - believed / spread) / precision, 1.0 / precision))
     messages = []
-    for name, (values, variances) in tests:
+    for name, values, variances in tests:
         positive = name != "understeer_gradient"
         error = MODEL_ERRORS[name]
         if positive and name in _ABSOLUTE:
@@ -184,14 +187,6 @@ def contradictions(subject: str, prior: Moments, statements: Sequence[Moments]) 
                 f"{100 * FALSE_ALARM_RATE:g} % of logs)"
             )
     return messages
-
-
-def _freed(prior: float, prior_variance: float, mean: float, variance: float) -> tuple[float, float]:
-    """Mean and variance of what was said without the prior; an infinite variance where next to nothing was."""
-    if not 0.0 < variance < MAX_SPREAD_LEFT * MAX_SPREAD_LEFT * prior_variance:
-        return mean, math.inf
-    precision = 1.0 / variance - 1.0 / prior_variance
-    return (mean / variance - prior / prior_variance) / precision, 1.0 / precision
 
 
 def _written(name: str, value: float) -> str:

@@ -26,8 +26,15 @@ from adaptrack.identification.estimates import estimates_of
 from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
 from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, Fit, InnovationLikelihood, Scored
-from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising, require_columns
-from adaptrack.identification.outliers import find_outliers, noise_of
+from adaptrack.identification.log import (
+    GAP_PERIODS,
+    LEAST_GAP,
+    check_times,
+    find_outliers,
+    is_rising,
+    noise_of,
+    require_columns,
+)
 from adaptrack.identification.quantities import Prior, Quantity, Reported, report_delay, report_quantity
 from adaptrack.identification.reading import Columns, Reading, Source, read_logs
 

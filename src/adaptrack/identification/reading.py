@@ -19,8 +19,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
 from adaptrack.core.maths.portable import product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
-from adaptrack.identification.log import hold_values, unwrapped
-from adaptrack.identification.outliers import find_samples
+from adaptrack.identification.log import find_samples, hold_values, unwrapped
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 Array = NDArray[np.float64]
@@ -199,7 +198,11 @@ def read_columns(source: Source, reading: Reading) -> Columns:
         When it is no table of numbers, or names columns that it does not have.
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
-    table = _table_from_arrays(source) if isinstance(source, Mapping) else _load_table(Path(source))
+    if isinstance(source, Mapping):
+        table = _table_from_arrays(source)
+    else:
+        content = read_bytes(source)
+        table = (_parquet if content[:4] == b"PAR1" else _csv)(Path(source), content)
     mapping, notes = _assign_columns(table.columns, reading, where)
     origin = _read_times(table, mapping.get("time"), reading, where)
     values = {}
@@ -458,12 +461,6 @@ def _unit_from_row(signal: str, column: str, cell: str) -> str:
 
 
 # -- tables in files --------------------------------------------------------------------------------------------------
-def _load_table(path: Path) -> LogTable:
-    """The table in a CSV or Parquet file, or in one of `Trajectory.save`."""
-    content = read_bytes(path)
-    return _parquet(path, content) if content[:4] == b"PAR1" else _csv(path, content)
-
-
 def _find_origin(times: CellArray, factor: float) -> int:
     """ns, the first of times that are whole numbers or instants; 0 for others.
 
