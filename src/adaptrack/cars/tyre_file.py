@@ -220,7 +220,8 @@ class _Reader:
 
     def __init__(self, where: str) -> None:
         """Read a file, without empty values, comments ($ or !) and tables without keys."""
-        self.where, self.sections = printable(where), dict[str, dict[str, _Entry]]()
+        self.where = printable(where)
+        self.sections: dict[str, dict[str, _Entry]] = {}
         section, text = "", read_bytes(where).decode("latin-1").lstrip("\ufeff").removeprefix("ï»¿")
         for number, line in enumerate(text.splitlines(), 1):
             bare = re.split(r"[$!]", line, maxsplit=1)[0].strip()

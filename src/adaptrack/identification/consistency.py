@@ -257,17 +257,13 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
     fast, sideways = log.speed > HIGH_SPEED, log.speed * np.nan_to_num(log.yaw_rate)
     idle = not fast.any() or math.sqrt(float(np.mean(portable.square(sideways[fast])))) < LITTLE
     stiffness = max(estimates[axle].high / estimates[axle].value for axle in ("front", "rear"))
-    gradient, largest, tightest = (
-        estimates["understeer_gradient"],
-        max(validation.autocorrelation, key=abs),
-        log.tightest,
-    )
+    gradient, largest = estimates["understeer_gradient"], max(validation.autocorrelation, key=abs)
     numbers: dict[str, Any] = {
         "stiffness": stiffness,
         "why": f"hardly any steering above {HIGH_SPEED:g} m/s" if idle else "the log tells little of the tyres",
         "balance": gradient.spread_left if stiffness > LOOSE_FACTOR else math.nan,
         "gradient": degrees_per_g(gradient.value), "within": degrees_per_g(gradient.high - gradient.value),
-        "tightest": tightest, "degrees": math.degrees(tightest),
+        "tightest": log.tightest, "degrees": math.degrees(log.tightest),
         "gyro_clock": log.commanded and not np.isfinite(log.wheel).any(), "command": log.commanded,
         "speed_spread": float(np.std(log.speed)) / float(np.mean(log.speed)),
         "hardest": float(np.percentile(np.abs(sideways), 99)),

@@ -180,10 +180,8 @@ class InnovationLikelihood(ABC):
             moved = portable.solve(at.information - its, at.scores[:, rows].sum(axis=1))
             scatter += np.outer(moved, moved)
         slopes = np.eye(self.free.size) if slopes is None else slopes
-        model_variance, observed_variance = (
-            np.sum(product(slopes, matrix) * slopes, axis=1) for matrix in (inverse, scatter)
-        )
-        widened = np.sqrt(np.clip(observed_variance, model_variance, np.sum(slopes * slopes, axis=1)) / model_variance)
+        least, observed = (np.sum(product(slopes, matrix) * slopes, axis=1) for matrix in (inverse, scatter))
+        widened = np.sqrt(np.clip(observed, least, np.sum(slopes * slopes, axis=1)) / least)
         change = portable.solve(slopes, widened[:, None] * slopes)
         return product(product(change, inverse), change.T)
 

@@ -29,9 +29,10 @@ LOG_SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "whe
 """Of a `Log`, beside its time."""
 MIN_LOG_SPEED = 1.5
 """m/s, below which samples are left out: slip angles are ill-defined."""
-SHORTEST_PERIOD, LONGEST_PERIOD, GAP_PERIODS, LEAST_GAP = 5e-4, 0.12, 5.0, 0.3
-"""s, of the samples, least (of a short log) and most; a pause longer than so many periods and so long (s) begins a new
-segment."""
+SHORTEST_PERIOD, LONGEST_PERIOD = 5e-4, 0.12
+"""s, of the samples, least (of a short log) and most."""
+GAP_PERIODS, HOLE_PERIODS, LEAST_GAP = 5.0, 3.0, 0.3
+"""A pause longer than so many periods, and than so long (s), begins a new segment; a longer hole is not filled."""
 LEAST_SEGMENT, LEAST_DRIVEN = 3.0, 20.0
 """s, of driving, in one piece and in all."""
 LEAST_ACCELERATION = 0.1
@@ -164,12 +165,10 @@ def log_of(
     if not commanded:
         messages.append("no steering command, only a measured angle: lag and dead time cannot be found")
     _without_outliers(time, data, commanded, messages)
-    hole = max(3.0 * period, LEAST_GAP)
-    is_known = np.isfinite(data["command"])
-    data["command"] = (
-        hold_values(time, time[is_known], data["command"][is_known], hole)
-        if commanded else _filled(time, data["command"], hole)
-    )  # fmt: skip
+    hole = max(HOLE_PERIODS * period, LEAST_GAP)
+    is_known, command = np.isfinite(data["command"]), data["command"]
+    held = hold_values(time, time[is_known], command[is_known], hole)
+    data["command"] = held if commanded else _filled(time, command, hole)
     data["speed"] = _filled(time, data["speed"], hole)
     _without_stuck(time, data, wheelbase, messages)
     data["yaw"] = unwrapped(data["yaw"])

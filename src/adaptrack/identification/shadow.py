@@ -15,6 +15,7 @@ What came is compared with it; intervals are those of a bootstrap over blocks of
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -49,7 +50,7 @@ from adaptrack.core.roads.road import nearest
 from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.log import LEAST_GAP, Log, is_rising, log_of
+from adaptrack.identification.log import HOLE_PERIODS, LEAST_GAP, Log, is_rising, log_of
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Columns, Reading, Source, read_logs
 from adaptrack.road import Road, fit_road, load_road
@@ -240,7 +241,8 @@ def shadow(
             )
     late = read[0].columns.computation if computation is None else computation
     world = load_profile(profile)
-    world = world.replace(period=max(world.period, *(log.period for log in read)), delay=float(late > 0.0))
+    periods = (round(log.log.period, 4) for log in read)  # medians between samples
+    world = world.replace(period=max(world.period, *periods), delay=float(late > 0.0))
     commanded = all(log.log.commanded for log in read)
     steering = vehicle.steering if commanded else None  # a measured wheel is behind the steering
     if uncertainty is None and not commanded:
@@ -383,11 +385,8 @@ def _summarise_log(
     doubts = [contradiction.what for contradiction in contradictions]
     doubts += _lasting_messages(contradictory, late, MAX_CONTRADICTED_SHARE)
     doubts += _lasting_messages(silent, np.ones_like(late), 0.5)
-    better = dict.fromkeys(
-        prediction.predictor
-        for prediction in predictions
-        if prediction.quantity == "yaw_rate" and prediction.ours.low > WORSE
-    )
+    worse = [prediction for prediction in predictions if prediction.ours.low > WORSE]
+    better = dict.fromkeys(prediction.predictor for prediction in worse if prediction.quantity == "yaw_rate")
     doubts += [f"the {PREDICTOR_NAMES[name]} predicts the yaw rate better" for name in better]
     return ShadowLog(
         source=read.name, time=time, command=records["command"], proposed=records["proposed"],
@@ -446,11 +445,6 @@ class ReadLog:
         log = log_of(columns.values, car.wheelbase, columns.notes, columns.commanded)
         return cls(os.path.basename(columns.source), columns, log, before)
 
-    @property
-    def period(self) -> float:
-        """s, median between samples"""
-        return round(self.log.period, 4)
-
     def without(self, names: Sequence[str]) -> ReadLog:
         """Return a copy without signals."""
         blank = np.full(self.log.samples, math.nan)
@@ -488,7 +482,7 @@ def _sample_at(grid: Array, time: Array, values: Array, period: float) -> Array:
         return np.full(grid.size, math.nan)
     after = np.clip(np.searchsorted(t, grid - ON_GRID * period), 1, t.size - 1)
     resampled = np.interp(grid, t, v, math.nan, math.nan)
-    resampled[t[after] - t[after - 1] > max(3.0 * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
+    resampled[t[after] - t[after - 1] > max(HOLE_PERIODS * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
     for near in (after - 1, after):
         there = np.abs(t[near] - grid) <= ON_GRID * period
         resampled[there] = v[near[there]]
@@ -606,12 +600,8 @@ def predicted(samples: InstantSamples, ours: Array, first: Array, mpc: MPC, tell
     for name, observed in starts.items():
         z[name][:, _STATE.side] += observed[:, _N]  # what tyres pull less in the bend at hand
     z["steady"][:, _STATE.offset] = 0.0
-    predictions = {
-        (name, quantity, ahead): np.full(n, math.nan)
-        for name in z
-        for quantity in PREDICTED_QUANTITIES
-        for ahead in TIMES
-    }
+    keys = itertools.product(PREDICTORS, PREDICTED_QUANTITIES, TIMES)
+    predictions = {key: np.full(n, math.nan) for key in keys}
     for j in range(max(steps)):
         tell(0.5 + 0.5 * j / max(steps))
         k = start + j
