@@ -136,13 +136,8 @@ def fit_law(
         parameters = start.copy()
         parameters[:2] = shape, curvature
         parameters = np.clip(parameters, low + 1e-6, high - 1e-6)
-        solution = least_squares(
-            residual,
-            parameters[moves],
-            bounds=(low[moves], high[moves]),
-            x_scale=scale[moves],
-            args=(parameters.copy(),),
-        )
+        bounds, fixed = (low[moves], high[moves]), (parameters.copy(),)
+        solution = least_squares(residual, parameters[moves], bounds=bounds, x_scale=scale[moves], args=fixed)
         if np.isfinite(solution.cost) and (best is None or solution.cost < best[0]):
             parameters[moves] = solution.x
             best = solution.cost, parameters
