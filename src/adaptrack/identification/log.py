@@ -167,8 +167,9 @@ def log_of(
     _without_outliers(time, data, commanded, messages)
     hole = max(HOLE_PERIODS * period, LEAST_GAP)
     is_known, command = np.isfinite(data["command"]), data["command"]
-    held = hold_values(time, time[is_known], command[is_known], hole)
-    data["command"] = held if commanded else _filled(time, command, hole)
+    data["command"] = (
+        hold_values(time, time[is_known], command[is_known], hole) if commanded else _filled(time, command, hole)
+    )
     data["speed"] = _filled(time, data["speed"], hole)
     _without_stuck(time, data, wheelbase, messages)
     data["yaw"] = unwrapped(data["yaw"])
