@@ -13,7 +13,7 @@ from tests.identification.test_identification import CAR, driven
 import adaptrack as at
 from adaptrack.identification import Reading
 from adaptrack.identification.consistency import implausible_estimates
-from adaptrack.identification.outliers import find_samples
+from adaptrack.identification.log import find_samples
 from adaptrack.identification.reading import read_columns
 from adaptrack.results.identify import identification_result
 

@@ -22,8 +22,7 @@ from adaptrack.identification.estimates import CORRECTIONS, corrected, estimates
 from adaptrack.identification.hypotheses import Evidence, guessed_ratio, refuse_contradictions
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import Log, log_of
-from adaptrack.identification.log_fit import fit_log
-from adaptrack.identification.log_identification import prepare
+from adaptrack.identification.log_identification import fit_log, prepare
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import generate_road
@@ -33,6 +32,11 @@ pytestmark = pytest.mark.kernels
 LEVER = 2.0
 PERIOD, LAG, DEAD_TIME, BIAS, RELAXATION = 0.05, 0.18, 0.13, 0.006, 0.3
 CAR = at.load_vehicle("compact-ev").replace(steering=None, side_force_slope=0.0, yaw_moment_slope=0.0)
+
+
+def likelihood_of(log: dict[str, Any], car: Vehicle) -> Likelihood:
+    """The likelihood of a log and a car, as `identify` makes it."""
+    return prepare(read_columns(log, Reading()), car, beliefs_of(car))
 
 
 def driven(
@@ -238,7 +242,7 @@ def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning: tuple
     drive, ratio = driven(60.0), 15.2
     log = {name: drive[name] for name in ("time", "speed", *turning)}
     log["steering_wheel_angle"] = ratio * (drive["wheel"] - BIAS)
-    likelihood = prepare(log, CAR)
+    likelihood = likelihood_of(log, CAR)
     estimate = estimates_of(fit_log(likelihood))[0]["ratio"]
     assert abs(estimate.value - ratio) < 3.0 * estimate.standard_error
     assert estimate.value == pytest.approx(ratio, rel=0.01 if "wheel" in turning else 0.05)
@@ -283,7 +287,7 @@ def test_the_page_shows_measured_and_simulated(answer: at.Identification, tmp_pa
 def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer: at.Identification) -> None:
     drive = driven(60.0)
     drive["wheel"] = drive["wheel"] + 0.001 * np.random.default_rng(5).standard_normal(drive["time"].size)
-    likelihood = prepare({k: drive[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
+    likelihood = likelihood_of({k: drive[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
     estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["lag"].standard_error < 0.7 * answer["lag"].standard_error
     assert abs(estimates["lag"].value - LAG) < 0.01
@@ -318,7 +322,7 @@ def gusty(seed: int) -> dict[str, np.ndarray]:
 
 @pytest.mark.compiled
 def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
-    likelihood = prepare(gusty(4), at.load_vehicle("compact-ev").replace(steering=None))
+    likelihood = likelihood_of(gusty(4), at.load_vehicle("compact-ev").replace(steering=None))
     delay = estimates_of(fit_log(likelihood))[0]["delay"]
     assert delay.low < 0.13 < delay.high
     assert delay.value == pytest.approx(0.13, abs=0.015)
@@ -328,7 +332,7 @@ def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
 def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyres() -> None:
     drive = driven(40.0)
     late = np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])
-    likelihood = prepare({k: drive[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
+    likelihood = likelihood_of({k: drive[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
     estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["lateness"].value == pytest.approx(0.2, abs=0.02)
     assert estimates["lateness"].low < 0.2 < estimates["lateness"].high
@@ -340,7 +344,7 @@ def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() ->
     drive = driven(40.0)
     noise = 0.02 * np.random.default_rng(4).standard_normal(drive["time"].size)
     log = {k: drive[k] for k in ("time", "command", "speed", "yaw_rate")}
-    likelihood = prepare(log | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
+    likelihood = likelihood_of(log | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
     estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["vy_ahead"].value == pytest.approx(1.2, abs=0.15)
     assert estimates["rear"].low < 2.0 * CAR.stiffness_rear < estimates["rear"].high

@@ -19,6 +19,7 @@ from adaptrack.identification.consistency import contradictions
 from adaptrack.identification.hypotheses import Evidence, drop_computed_columns, refuse_contradictions
 from adaptrack.identification.log import SHORTENED, log_of, shorten_log
 from adaptrack.identification.log_identification import prepare
+from adaptrack.identification.quantities import beliefs_of
 from adaptrack.identification.reading import Reading, read_columns
 
 BASE = ("time", "command", "speed", "yaw_rate")
@@ -70,7 +71,8 @@ def motorway() -> dict[str, Any]:
     ("vy", lambda m: 1.2 * m["yaw_rate"], "the yaw rate times a constant"),
 ])  # fmt: skip
 def test_a_column_that_is_computed_from_others_is_left_out_and_said(name: str, compute: Any, sentence: str) -> None:
-    likelihood = prepare(base() | {name: compute(base())}, CAR)
+    columns = read_columns(base() | {name: compute(base())}, Reading())
+    likelihood = prepare(columns, CAR, beliefs_of(CAR))
     assert not likelihood.present[name]
     (note,) = likelihood.log.notes
     assert note.startswith(name)

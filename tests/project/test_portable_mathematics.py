@@ -50,7 +50,7 @@ IMPORTS = {
     "numpy._core._multiarray_umath": "core/library.py",
     # sums and comparisons in the order of the entries
     "scipy.integrate": "identification/drive_identification.py",
-    "scipy.ndimage": "identification/outliers.py",
+    "scipy.ndimage": "identification/log.py",
     "scipy.sparse": "comparison/lane_change.py",
     "scipy.spatial": "paper/adaptation.py road/generate.py",
     "scipy.signal": "drive/signal_statistics.py",

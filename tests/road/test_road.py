@@ -61,7 +61,7 @@ def test_a_line_beside_a_clothoid_is_its_parallel():
     """By samples: within 1 mm, and 1 % of the curvature."""
     (base,) = tabulate([BEND])
     for offset in (2.0, -3.5):
-        side, s, parallel = line_at_offset(base, [0.0], np.array([[offset, 0.0, 0.0, 0.0]]))
+        side, s, parallel = line_at_offset(base, [(0.0, np.array([offset, 0.0, 0.0, 0.0]))])
         x, _, heading, curvature = exact_points(BEND, s)
         assert np.abs(parallel - (s - offset * 0.05 * s**2 / 120.0)).max() < 1e-3
         exact = curvature / (1.0 - offset * curvature)
@@ -72,7 +72,7 @@ def test_a_line_beside_a_clothoid_is_its_parallel():
 def test_the_curvature_beside_a_road_is_the_change_of_its_heading_where_the_distance_changes():
     (base,) = tabulate([Clothoid(length=80.0, start_curvature=-0.01, end_curvature=0.03)])
     laws = np.array([[1.0, 0.02, -1e-3, 1e-5], [1.0, -0.013, 1e-3, -2e-5]])
-    side, base_s, places = line_at_offset(base, [0.0, 30.0], laws)
+    side, base_s, places = line_at_offset(base, [(0.0, laws[0]), (30.0, laws[1])])
     s, h = np.linspace(1.0, side.length - 1.0, 200), 1e-4
     s = s[np.abs(s - np.interp(30.0, base_s, places)) > 1.0]  # but where the polynomial changes
     before, after = side.at(s - h), side.at(s + h)
@@ -83,7 +83,7 @@ def test_the_curvature_beside_a_road_is_the_change_of_its_heading_where_the_dist
 def test_a_lane_beyond_the_centre_of_curvature_and_a_cusp_are_refused():
     (arc,) = tabulate([Arc(length=10.0, curvature=0.1)])
     with pytest.raises(InvalidInput, match="centre of curvature"):
-        line_at_offset(arc, [0.0], np.array([[11.0, 0.0, 0.0, 0.0]]))
+        line_at_offset(arc, [(0.0, np.array([11.0, 0.0, 0.0, 0.0]))])
     with pytest.raises(InvalidInput, match="cusp"):
         tabulate([Cubic(x=(0.0, 0.0, 1.0, 0.0), y=(0.0, 0.0, 0.0, 1.0))])
 

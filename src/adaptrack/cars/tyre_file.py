@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, did_you_mean
-from adaptrack.base.files import printable, read_bytes
+from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.maths import portable
@@ -43,10 +43,11 @@ TYRE_FILE_UNITS = {
               "deg": math.pi / 180.0},
 }  # fmt: skip
 """Units that a file may be in, as factors to SI."""
-SCALINGS = ("LFZO", "LCY", "LMUY", "LEY", "LKY", "LSGAL")
-OPTIONAL_COEFFICIENTS = ("PDY2", "PEY1", "PEY2", "PEY3", "PHY1", "PHY2", "PVY1", "PVY2")
+OPTIONAL_COEFFICIENTS = ("PDY2", "PEY1", "PEY2", "PEY3", "PHY1", "PHY2", "PVY1", "PVY2", "PTY1", "PTY2")
 CAMBER = ("PDY3", "PEY4", "PEY5", "PKY3", "PKY5", "PKY6", "PKY7", "PHY3", "PVY3", "PVY4")
 """Lateral coefficients of the camber angle, which the plant's wheels do not have."""
+SCALING_SECTIONS = ("SCALING_FACTORS", "SCALING_COEFFICIENTS")
+SCALINGS = ("LFZO", "LCY", "LMUY", "LEY", "LKY", "LSGAL")
 UNUSED_SECTIONS = {
     "LONGITUDINAL_COEFFICIENTS": "longitudinal slip", "ALIGNING_COEFFICIENTS": "aligning moment",
     "OVERTURNING_COEFFICIENTS": "overturning moment", "ROLLING_COEFFICIENTS": "rolling resistance",
@@ -78,13 +79,6 @@ LIGHTEST, HEAVIEST = 0.3, 1.6
 """Loads that are fitted, over the nominal one, as far as the file's own range goes."""
 
 
-class _Value(NamedTuple):
-    """The value of a key."""
-
-    text: str
-    line: int
-
-
 @dataclass(frozen=True)
 class TyreFile:
     """A tyre property file, read and in SI units; `force`, `stiffness` and `relaxation_length` evaluate it."""
@@ -93,9 +87,7 @@ class TyreFile:
     model: str
     """"MF 5.2", "MF 6.1", "MF 6.2" or "PAC2002"""
     coefficients: dict[str, float]
-    """PCY1 ... PTY2 in SI, those that are not in the file 0 (PKY4: 2)"""
-    scaling: dict[str, float]
-    """-, LFZO ... LSGAL, 1 where the file says nothing"""
+    """PCY1 ... PTY2 in SI, those that are not in the file 0 (PKY4: 2); scaling factors LFZO ... LSGAL, else 1"""
     nominal_load: float
     """N, FNOMIN"""
     slips: float
@@ -112,7 +104,7 @@ class TyreFile:
     @property
     def scaled_load(self) -> float:
         """F_z0' (N)."""
-        return self.nominal_load * self.scaling["LFZO"]
+        return self.nominal_load * self.coefficients["LFZO"]
 
     @property
     def fitted_loads(self) -> tuple[float, float]:
@@ -124,20 +116,20 @@ class TyreFile:
         """Cornering stiffness |K| (N/rad) at a load (N)."""
         p, q = self.coefficients, np.asarray(load, dtype=float) / self.scaled_load
         sine = portable.sin(p["PKY4"] * portable.atan(q / p["PKY2"]))
-        return np.asarray(abs(p["PKY1"]) * self.scaled_load * sine * self.scaling["LKY"])
+        return np.asarray(abs(p["PKY1"]) * self.scaled_load * sine * p["LKY"])
 
     def friction(self, load: ArrayLike) -> Array:
         """Peak friction |D|/F_z (-) at a load (N)."""
         df = np.asarray(load, dtype=float) / self.scaled_load - 1.0
         p = self.coefficients
-        return np.asarray((p["PDY1"] + p["PDY2"] * df) * math.copysign(1.0, p["PDY1"]) * self.scaling["LMUY"])
+        return np.asarray((p["PDY1"] + p["PDY2"] * df) * math.copysign(1.0, p["PDY1"]) * p["LMUY"])
 
     def force(self, slip: ArrayLike, load: ArrayLike) -> Array:
         """Lateral force (N) at a slip angle (rad), both positive to the left, and a load (N); no shifts, no camber."""
         slip, load = np.asarray(slip, dtype=float), np.asarray(load, dtype=float)
         p, df = self.coefficients, load / self.scaled_load - 1.0
-        shape, peak = p["PCY1"] * self.scaling["LCY"], self.friction(load) * load
-        curvature = np.minimum((p["PEY1"] + p["PEY2"] * df) * self.scaling["LEY"], 1.0)
+        shape, peak = p["PCY1"] * p["LCY"], self.friction(load) * load
+        curvature = np.minimum((p["PEY1"] + p["PEY2"] * df) * p["LEY"], 1.0)
         b = self.stiffness(load) / (shape * peak) * slip
         return np.asarray(peak * portable.sin(shape * portable.atan(b - curvature * (b - portable.atan(b)))))
 
@@ -153,7 +145,7 @@ class TyreFile:
             )
         if not (p["PTY1"] and p["PTY2"] and self.radius):
             return None
-        reach = self.radius * self.scaling["LFZO"] * self.scaling["LSGAL"]
+        reach = self.radius * p["LFZO"] * p["LSGAL"]
         return np.asarray(np.abs(p["PTY1"]) * portable.sin(2.0 * portable.atan(q / np.abs(p["PTY2"]))) * reach)
 
     def to_tyre(self, name: str | None = None) -> TyreFit:
@@ -216,37 +208,43 @@ def read_tyre_file(path: str | os.PathLike[str]) -> TyreFile:
     return _Reader(os.fspath(path)).read(Path(path).stem)
 
 
+class _Entry(NamedTuple):
+    """The value of a key, and its line."""
+
+    text: str
+    line: int
+
+
 class _Reader:
-    """The values of a file by section and key, both in capitals; every refusal names file, line and key."""
+    """The entries of a file by section and key, both in capitals; every refusal names file, line and key."""
 
     def __init__(self, where: str) -> None:
         """Read a file, without empty values, comments ($ or !) and tables without keys."""
         self.where = printable(where)
-        self.sections: dict[str, dict[str, _Value]] = {}
+        self.sections: dict[str, dict[str, _Entry]] = {}
         section, text = "", read_bytes(where).decode("latin-1").lstrip("\ufeff").removeprefix("ï»¿")
         for number, line in enumerate(text.splitlines(), 1):
             bare = re.split(r"[$!]", line, maxsplit=1)[0].strip()
             if heading := re.fullmatch(r"\[([^\]]*)\]", bare):
                 section = heading[1].strip().upper()
                 self.sections.setdefault(section, {})
-            elif "=" in bare:
-                key, _, entry = (part.strip(" \t'\"") for part in bare.partition("="))
-                key, values, value = key.upper(), self.sections.setdefault(section, {}), _Value(entry, number)
-                if key in values and entry not in ("", values[key].text):
-                    line_text = f"{key} stands in line {values[key].line} with another value: keep one."
-                    raise self.fail(line_text, value)
-                if entry:
-                    values[key] = value
+                continue
+            key, _, value = (part.strip(" \t'\"") for part in bare.partition("="))
+            if value:
+                entry = _Entry(value, number)
+                first = self.sections.setdefault(section, {}).setdefault(key.upper(), entry)
+                if first.text != value:
+                    text = f"{key.upper()} stands in line {first.line} with another value: keep one."
+                    raise self.refusal(text, entry)
 
     def read(self, name: str) -> TyreFile:
         """Return the tyre of the file, checked over the loads at which it is fitted."""
         model = self.model()
         angle, force, length = (self.unit(quantity) for quantity in ("ANGLE", "FORCE", "LENGTH"))
-        p, scaling = self.coefficients(model, angle), self.scaling()
-        nominal = self.positive("VERTICAL", "FNOMIN", force, (1.0, 2e5), "N")
-        radius = stiffness = None
-        if self.value("DIMENSION", "UNLOADED_RADIUS"):
-            radius = self.positive("DIMENSION", "UNLOADED_RADIUS", length, (0.01, 3.0), "m")
+        p = self.coefficients(model, angle)
+        nominal, radius, stiffness = self.size("VERTICAL", "FNOMIN", force, (1.0, 2e5), "N"), None, None
+        if self.entry("DIMENSION", "UNLOADED_RADIUS"):
+            radius = self.size("DIMENSION", "UNLOADED_RADIUS", length, (0.01, 3.0), "m")
         if model.startswith("MF 6"):
             numbers = [self.number(section, "LATERAL_STIFFNESS", 0.0) for section in ("STRUCTURAL", "VERTICAL")]
             stiffness = next((number * force / length for number in numbers if number), None)
@@ -254,115 +252,104 @@ class _Reader:
         loads = low * force, (high or math.inf) * force
         steepest = abs(self.number("SLIP_ANGLE_RANGE", "ALPMAX", 0.0) * angle) or 1.5
         notes = tuple(self.notes(model, p, nominal))
-        tyre = TyreFile(name, model, p, scaling, nominal, steepest, loads, radius, stiffness, notes)
+        tyre = TyreFile(name, model, p, nominal, steepest, loads, radius, stiffness, notes)
         self.check_range(tyre)
         return tyre
 
-    # ---- values
+    def refusal(self, text: str, entry: _Entry | None = None) -> ConfigError:
+        return ConfigError(f"{self.where}{'' if entry is None else f', line {entry.line}'}: {text}")
 
-    def fail(self, text: str, value: _Value | None = None) -> ConfigError:
-        return ConfigError(f"{self.where}{'' if value is None else f', line {value.line}'}: {text}")
-
-    def value(self, section: str, key: str) -> _Value | None:
+    def entry(self, section: str, key: str) -> _Entry | None:
         return self.sections.get(section, {}).get(key)
 
-    def required(self, section: str, key: str) -> _Value:
+    def required(self, section: str, key: str) -> _Entry:
         if section not in self.sections:
-            raise self.fail(f"there is no section [{section}]: {REMEDIES[section]}.")
-        value = self.value(section, key)
-        if value is None:
-            raise self.fail(f"section [{section}] has no {key}.")
-        return value
+            raise self.refusal(f"there is no section [{section}]: {REMEDIES[section]}.")
+        entry = self.entry(section, key)
+        if entry is None:
+            raise self.refusal(f"section [{section}] has no {key}.")
+        return entry
 
     def number(self, section: str, key: str, default: float | None = None) -> float:
         """A finite number; without a default it must be there."""
-        value = self.value(section, key)
-        if value is None and default is not None:
+        if default is not None and self.entry(section, key) is None:
             return default
-        value = self.required(section, key)
-        try:
-            number = float(re.sub("[dD]", "e", value.text))
-        except ValueError:
-            raise self.fail(f"{key} = {printable(value.text)[:40]!r}: must be a number.", value) from None
-        if not math.isfinite(number):
-            raise self.fail(f"{key} = {value.text}: must be a finite number.", value)
-        return number
+        entry = self.required(section, key)
+        text = re.sub("[dD]", "e", entry.text)
+        if not is_number(text):
+            raise self.refusal(f"{key} = {printable(entry.text)[:40]!r}: must be a number.", entry)
+        if not math.isfinite(float(text)):
+            raise self.refusal(f"{key} = {entry.text}: must be a finite number.", entry)
+        return float(text)
 
-    def positive(self, section: str, key: str, unit: float, span: tuple[float, float], si: str) -> float:
+    def size(self, section: str, key: str, factor: float, span: tuple[float, float], unit: str) -> float:
         """A number in SI that is within what tyres have: else the unit is wrong."""
         number = self.number(section, key)
-        if not span[0] <= number * unit <= span[1]:
-            raise self.fail(
-                f"{key} = {number:g} is {number * unit:g} {si}, which no tyre has ({span[0]:g} to {span[1]:g}): wrong "
-                "value, or wrong [UNITS].", self.value(section, key),
+        if not span[0] <= number * factor <= span[1]:
+            raise self.refusal(
+                f"{key} = {number:g} is {number * factor:g} {unit}, which no tyre has ({span[0]:g} to {span[1]:g}): "
+                "wrong value, or wrong [UNITS].", self.entry(section, key),
             )  # fmt: skip
-        return number * unit
+        return number * factor
 
     def unit(self, quantity: str) -> float:
         """The factor to SI of a quantity."""
-        value, units = self.required("UNITS", quantity), TYRE_FILE_UNITS[quantity]
-        name = value.text.lower()
-        if name not in units:
-            text = f"{quantity} = {printable(value.text)!r}: unknown unit. {did_you_mean(name, units)}"
-            raise self.fail(text, value)
+        entry, units = self.required("UNITS", quantity), TYRE_FILE_UNITS[quantity]
+        if (name := entry.text.lower()) not in units:
+            text = f"{quantity} = {printable(entry.text)!r}: unknown unit. {did_you_mean(name, units)}"
+            raise self.refusal(text, entry)
         return units[name]
-
-    # ---- sections
 
     def model(self) -> str:
         """The formula that the file is of: a PAC2002 file may have a FITTYP as well."""
-        kind, fit = self.value("MODEL", "PROPERTY_FILE_FORMAT"), self.value("MODEL", "FITTYP")
-        value = kind if kind is not None and (fit is None or kind.text.upper() == "PAC2002") else fit
-        value = value or self.required("MODEL", "FITTYP and no PROPERTY_FILE_FORMAT")
-        model = TYRE_MODELS.get(re.sub(r"\.0*$", "", value.text.upper()))
+        kind, fit = self.entry("MODEL", "PROPERTY_FILE_FORMAT"), self.entry("MODEL", "FITTYP")
+        entry = kind if kind is not None and (fit is None or kind.text.upper() == "PAC2002") else fit
+        entry = entry or self.required("MODEL", "FITTYP and no PROPERTY_FILE_FORMAT")
+        model = TYRE_MODELS.get(re.sub(r"\.0*$", "", entry.text.upper()))
         if model is None:
-            raise self.fail(
-                f"tyre model {printable(value.text)!r} cannot be read; known: MF 5.2 (FITTYP 5, 6, 21, 51, 52), MF 6.1 "
-                "(60, 61), MF 6.2 (62) and PAC2002.", value,
+            raise self.refusal(
+                f"tyre model {printable(entry.text)!r} cannot be read; known: MF 5.2 (FITTYP 5, 6, 21, 51, 52), MF 6.1 "
+                "(60, 61), MF 6.2 (62) and PAC2002.", entry,
             )  # fmt: skip
         return model
 
     def coefficients(self, model: str, angle: float) -> dict[str, float]:
-        """The lateral coefficients in SI: angles in them follow [UNITS]."""
+        """The lateral coefficients in SI, in which angles follow [UNITS], and their scaling factors."""
         section = "LATERAL_COEFFICIENTS"
         p = {key: self.number(section, key) for key in COEFFICIENT_BOUNDS}
-        p |= {key: self.number(section, key, 0.0) for key in (*OPTIONAL_COEFFICIENTS, *CAMBER, "PTY1", "PTY2")}
+        p |= {key: self.number(section, key, 0.0) for key in (*OPTIONAL_COEFFICIENTS, *CAMBER)}
         p["PKY4"] = (self.number(section, "PKY4", 0.0) or 2.0) if model.startswith("MF 6") else 2.0
         p |= {key: self.number("STRUCTURAL", key, 0.0) for key in ("PCFY1", "PCFY2")}
         p |= {"PKY1": p["PKY1"] / angle, "PHY1": p["PHY1"] * angle, "PHY2": p["PHY2"] * angle}
         for key, (low, high, meaning) in COEFFICIENT_BOUNDS.items():
             if not low <= (abs(p[key]) if key in ("PDY1", "PKY1") else p[key]) <= high:
-                value = self.required(section, key)
-                raise self.fail(f"{key} = {value.text}: {meaning} is from {low:g} to {high:g} in size.", value)
+                entry = self.required(section, key)
+                raise self.refusal(f"{key} = {entry.text}: {meaning} is from {low:g} to {high:g} in size.", entry)
+        scaling = next((name for name in SCALING_SECTIONS if name in self.sections), "")
+        for key in SCALINGS:
+            p[key] = self.number(scaling, key, 1.0)
+            if not p[key] > 0.0 and key != "LEY":
+                text = f"{key} = {p[key]:g}: a scaling factor must be positive."
+                raise self.refusal(text, self.entry(scaling, key))
         return p
-
-    def scaling(self) -> dict[str, float]:
-        """The scaling factors that concern the lateral force."""
-        factors = dict.fromkeys(SCALINGS, 1.0)
-        for section in ("SCALING_COEFFICIENTS", "SCALING_FACTORS"):
-            for key in SCALINGS if section in self.sections else ():
-                factors[key] = self.number(section, key, 1.0)
-                if not factors[key] > 0.0 and key != "LEY":
-                    value = self.value(section, key)
-                    raise self.fail(f"{key} = {factors[key]:g}: a scaling factor must be positive.", value)
-        return factors
 
     def check_range(self, tyre: TyreFile) -> None:
         """Stiffness and friction must be positive wherever the tyre is fitted."""
         low, high = tyre.fitted_loads
         if not low < high:
-            raise self.fail(
+            raise self.refusal(
                 f"FZMIN to FZMAX, {tyre.loads[0]:g} to {tyre.loads[1]:g} N, holds no load near FNOMIN = "
-                f"{tyre.nominal_load:g} N.", self.value("VERTICAL_FORCE_RANGE", "FZMAX"),
+                f"{tyre.nominal_load:g} N.", self.entry("VERTICAL_FORCE_RANGE", "FZMAX"),
             )  # fmt: skip
         if tyre.slips < 0.02:
-            raise self.fail(f"ALPMAX is {tyre.slips:g} rad: no slip range.", self.value("SLIP_ANGLE_RANGE", "ALPMAX"))
+            entry = self.entry("SLIP_ANGLE_RANGE", "ALPMAX")
+            raise self.refusal(f"ALPMAX is {tyre.slips:g} rad: no slip range.", entry)
         loads = np.linspace(low, high, 50)
         quantities = (("cornering stiffness", tyre.stiffness, "PKY2"), ("friction", tyre.friction, "PDY2"))
         for name, law, key in quantities:
             for load in loads[~(law(loads) > 0.0)][:1]:
-                value = self.value("LATERAL_COEFFICIENTS", key)
-                raise self.fail(f"the {name} is not positive at {load:.0f} N, within the range of loads.", value)
+                entry = self.entry("LATERAL_COEFFICIENTS", key)
+                raise self.refusal(f"the {name} is not positive at {load:.0f} N, within the range of loads.", entry)
 
     def notes(self, model: str, p: dict[str, float], nominal: float) -> Iterator[str]:
         """Yield the notes on unused parts of the file and on its sign convention."""
@@ -374,7 +361,7 @@ class _Reader:
                 "file with the sign of ISO this would be a negative stiffness."
             )
         if p["PHY1"] or p["PVY1"] or p["PEY3"]:
-            side = self.value("MODEL", "TYRESIDE")
+            side = self.entry("MODEL", "TYRESIDE")
             measured = f", measured as a {side.text.lower()} tyre," if side is not None else ""
             yield (
                 f"Ply steer and conicity{measured} are left out (at the nominal load a slip of {p['PHY1']:.4f} rad and "

@@ -8,7 +8,6 @@ and ``load_rear_N`` of the axle. A force may be left empty where an axle was not
 from __future__ import annotations
 
 import csv
-import io
 import math
 import os
 from collections.abc import Collection
@@ -21,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.base.files import is_number, printable, read_bytes, table_lines
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
@@ -137,13 +136,8 @@ def fit_law(
         parameters = start.copy()
         parameters[:2] = shape, curvature
         parameters = np.clip(parameters, low + 1e-6, high - 1e-6)
-        solution = least_squares(
-            residual,
-            parameters[moves],
-            bounds=(low[moves], high[moves]),
-            x_scale=scale[moves],
-            args=(parameters.copy(),),
-        )
+        bounds, fixed = (low[moves], high[moves]), (parameters.copy(),)
+        solution = least_squares(residual, parameters[moves], bounds=bounds, x_scale=scale[moves], args=fixed)
         if np.isfinite(solution.cost) and (best is None or solution.cost < best[0]):
             parameters[moves] = solution.x
             best = solution.cost, parameters
@@ -249,12 +243,8 @@ def tyre_from_table(
 def _columns(where: str) -> dict[str, Array]:
     """The columns by name, an empty cell NaN."""
     source = printable(where)
-    try:
-        text = read_bytes(where).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ConfigError(f"{source}: is no text (UTF-8).") from None
-    rows = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(map(str.strip, row))]
-    rows = [(number, row) for number, row in rows if not row[0].lstrip().startswith("#")]
+    lines, _ = table_lines(source, read_bytes(where), "strict")
+    rows = [(number, row) for number, line in lines for row in csv.reader([line]) if any(map(str.strip, row))]
     if not rows:
         raise ConfigError(f"{source}: is empty.")
     names = [cell.strip() for cell in rows[0][1]]

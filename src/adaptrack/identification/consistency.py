@@ -163,12 +163,15 @@ def contradictions(subject: str, prior: Moments, statements: Sequence[Moments]) 
     """
     tests = []
     for name in [name for name in prior if name in MODEL_ERRORS]:
-        freed = [_freed(*prior[name], *statement[name]) for statement in statements if name in statement]
-        informed = [(value, variance) for value, variance in freed if math.isfinite(variance)]
-        if len(informed) > 1:
-            tests.append((name, np.array(informed).T))
+        believed, spread = prior[name]
+        stated = np.array([statement[name] for statement in statements if name in statement]).reshape(-1, 2)
+        is_informed = (stated[:, 1] > 0.0) & (stated[:, 1] < MAX_SPREAD_LEFT * MAX_SPREAD_LEFT * spread)
+        mean, variance = stated[is_informed].T
+        if mean.size > 1:
+            precision = 1.0 / variance - 1.0 / spread  # without the prior
+            tests.append((name, (mean / variance - believed / spread) / precision, 1.0 / precision))
     messages = []
-    for name, (values, variances) in tests:
+    for name, values, variances in tests:
         positive = name != "understeer_gradient"
         error = MODEL_ERRORS[name]
         if positive and name in _ABSOLUTE:
@@ -184,14 +187,6 @@ def contradictions(subject: str, prior: Moments, statements: Sequence[Moments]) 
                 f"{100 * FALSE_ALARM_RATE:g} % of logs)"
             )
     return messages
-
-
-def _freed(prior: float, prior_variance: float, mean: float, variance: float) -> tuple[float, float]:
-    """Mean and variance of what was said without the prior; an infinite variance where next to nothing was."""
-    if not 0.0 < variance < MAX_SPREAD_LEFT * MAX_SPREAD_LEFT * prior_variance:
-        return mean, math.inf
-    precision = 1.0 / variance - 1.0 / prior_variance
-    return (mean / variance - prior / prior_variance) / precision, 1.0 / precision
 
 
 def _written(name: str, value: float) -> str:
@@ -262,17 +257,13 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
     fast, sideways = log.speed > HIGH_SPEED, log.speed * np.nan_to_num(log.yaw_rate)
     idle = not fast.any() or math.sqrt(float(np.mean(portable.square(sideways[fast])))) < LITTLE
     stiffness = max(estimates[axle].high / estimates[axle].value for axle in ("front", "rear"))
-    gradient, largest, tightest = (
-        estimates["understeer_gradient"],
-        max(validation.autocorrelation, key=abs),
-        log.tightest,
-    )
+    gradient, largest = estimates["understeer_gradient"], max(validation.autocorrelation, key=abs)
     numbers: dict[str, Any] = {
         "stiffness": stiffness,
         "why": f"hardly any steering above {HIGH_SPEED:g} m/s" if idle else "the log tells little of the tyres",
         "balance": gradient.spread_left if stiffness > LOOSE_FACTOR else math.nan,
         "gradient": degrees_per_g(gradient.value), "within": degrees_per_g(gradient.high - gradient.value),
-        "tightest": tightest, "degrees": math.degrees(tightest),
+        "tightest": log.tightest, "degrees": math.degrees(log.tightest),
         "gyro_clock": log.commanded and not np.isfinite(log.wheel).any(), "command": log.commanded,
         "speed_spread": float(np.std(log.speed)) / float(np.mean(log.speed)),
         "hardest": float(np.percentile(np.abs(sideways), 99)),

@@ -26,8 +26,15 @@ from adaptrack.identification.estimates import estimates_of
 from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
 from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, Fit, InnovationLikelihood, Scored
-from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising, require_columns
-from adaptrack.identification.outliers import find_outliers, noise_of
+from adaptrack.identification.log import (
+    GAP_PERIODS,
+    LEAST_GAP,
+    check_times,
+    find_outliers,
+    is_rising,
+    noise_of,
+    require_columns,
+)
 from adaptrack.identification.quantities import Prior, Quantity, Reported, report_delay, report_quantity
 from adaptrack.identification.reading import Columns, Reading, Source, read_logs
 
@@ -161,12 +168,9 @@ def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentificati
 def _pedals_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:
     """Identify the pedal map, drive and brakes: likelihood and least squares take turns; errors as `identify_drive`."""
     log, seconds = _joined_rows(logs, PEDALS, MIN_PEDAL_SPEED)
-    low, (throttle, brake) = log[1:3].min(), log[1:3].max(axis=1)
-    if not (low > -0.01 and max(throttle, brake) < 1.01):
-        raise InvalidInput(
-            f"log: throttle and brake reach from {low:.3g} to {max(throttle, brake):.3g}: they must be 0 to 1; for per "
-            "cent give --units throttle=%,brake=%."
-        )
+    for columns in logs:
+        refuse_contradictions(Evidence(columns.values), "pedals")
+    throttle, brake = log[1:3].max(axis=1)
     regression, z = PedalRegression(log, car), np.zeros(len(DRIVE_QUANTITIES))
     drive, brakes = FIRST_GAINS[0] * np.tile(PEDAL_POINTS, (regression.speeds.size, 1)), FIRST_GAINS[1] * PEDAL_POINTS
     for turn in range(PEDAL_TURNS):
@@ -235,12 +239,8 @@ class PedalRegression:
         columns += [-whitened(-ramp, zero) for ramp in self._brake]
         target = whitened(zero, self._compared + self._integral(self._resistance))
         steps, count = np.tril(np.ones((PEDAL_POINTS.size,) * 2)), self.speeds.size
-        smoothness = block_diag(
-            np.vstack(
-                [np.kron(np.eye(count), product(_bends(PEDAL_POINTS), steps)), np.kron(_bends(self.speeds), steps)]
-            ),
-            product(_bends(PEDAL_POINTS), steps[:, 1:]),
-        )
+        over_pedal, over_speed = product(_bends(PEDAL_POINTS), steps), np.kron(_bends(self.speeds), steps)
+        smoothness = block_diag(np.vstack([np.kron(np.eye(count), over_pedal), over_speed]), over_pedal[:, 1:])
         system = np.vstack([np.column_stack([*columns, target]), np.pad(smoothness / BEND_SIGMA, ((0, 0), (0, 1)))])
         triangle = portable.triangle(system)
         least = np.zeros(len(columns))

@@ -103,7 +103,7 @@ class Case(NamedTuple):
 class LogHypothesis(NamedTuple):
     """A comparison of signals, and the mistakes that it may show."""
 
-    stage: Literal["positions", "gyro", "columns", "signals", "speed"]
+    stage: Literal["positions", "gyro", "columns", "signals", "speed", "pedals"]
     """when it is evaluated: ``signals`` with a cleaned `Log`, the others with raw columns"""
     subject: str
     """compared signals"""
@@ -247,17 +247,9 @@ def guessed_ratio(log: Log, wheelbase: float) -> float:
         slope = _slope(window_mean(log.time, log.command)[both], window_mean(log.time[both], log.wheel[both]))
     else:
         slope = fit_turning(log, wheelbase)
-    if not slope.numbers["clear"]:
-        raise InvalidInput(
-            "log: the steering ratio cannot be found: neither yaw rate nor road wheels follow the steering wheel. Give "
-            "it, --steering-ratio R, or drive slow bends."
-        )
     ratio = 1.0 / abs(slope.factor)
-    if ratio > LARGEST_RATIO:
-        raise InvalidInput(
-            f"log: the steering wheel turns {ratio:.0f} times as far as the road wheels: if it is in degrees, say "
-            "--units steering_wheel=deg (or command=deg)."
-        )
+    for case in find_cases(GUESSED_RATIO_CASES, {"unclear": not slope.numbers["clear"], "ratio": ratio}):
+        raise InvalidInput(f"log: {case.words}")
     return ratio
 
 
@@ -291,10 +283,8 @@ def _positions(evidence: Evidence) -> Measurements:
         np.interp(instants + MEAN_WINDOW, time, place) - np.interp(instants - MEAN_WINDOW, time, place)
         for place in (values["x"][present][first], values["y"][present][first])
     )
-    return {
-        "clear": True,
-        "factor": float(np.median(portable.hypot(x, y) / (2.0 * MEAN_WINDOW * np.abs(speed[drives])))),
-    }
+    ratios = portable.hypot(x, y) / (2.0 * MEAN_WINDOW * np.abs(speed[drives]))
+    return {"clear": True, "factor": float(np.median(ratios))}
 
 
 def _lateral_acceleration(evidence: Evidence) -> Measurements:
@@ -409,12 +399,11 @@ def _change_of_speed(name: str, evidence: Evidence) -> Measurements:
         return {"clear": False}
     is_measured, best = name == "longitudinal_acceleration", Slope(1.0, 0.0)
     if float(np.std(change[compared])) >= LEAST_SPEED_CHANGE:
+        nuisance = np.column_stack([np.ones(time.size), speed * speed])[compared]
         for delay in LONGITUDINAL_DELAYS[: 1 if is_measured else None]:
-            late = window_mean(
-                time, signal[np.maximum(np.searchsorted(time, time - delay + 1e-9, side="right") - 1, 0)]
-            )
-            nuisance = np.column_stack([np.ones(time.size), speed * speed])
-            fit = _partial_slope(late[compared], change[compared], nuisance[compared])
+            row = np.searchsorted(time, time - delay + 1e-9, side="right") - 1
+            late = window_mean(time, signal[np.maximum(row, 0)])
+            fit = _partial_slope(late[compared], change[compared], nuisance)
             best = max(best, fit, key=lambda fit: abs(fit.correlation))
     difference = window_mean(time[compared], (window_mean(time, signal) - change)[compared], SLOPE_WINDOW)
     slow = float(np.std(difference)) if is_measured else math.nan
@@ -424,12 +413,16 @@ def _change_of_speed(name: str, evidence: Evidence) -> Measurements:
 def _partial_slope(x: Array, y: Array, nuisance: Array) -> Slope:
     """Slope of y over x, and their correlation, with other regressors (columns) removed from both."""
     x, y = (signal - product(nuisance, portable.least_squares(nuisance, signal)) for signal in (x, y))
-    size = math.sqrt(float(product(x, x)) * float(product(y, y)))
-    return (
-        Slope(float(product(x, y)) / float(product(x, x)), float(product(x, y)) / size)
-        if size > 0.0
-        else Slope(1.0, 0.0)
-    )
+    power, common = float(product(x, x)), float(product(x, y))
+    size = math.sqrt(power * float(product(y, y)))
+    return Slope(common / power, common / size) if size > 0.0 else Slope(1.0, 0.0)
+
+
+def _pedals(evidence: Evidence) -> Measurements:
+    """Farthest that a pedal is beyond 0 to 1."""
+    pedals = np.array([evidence.values[name] for name in ("throttle", "brake")])
+    low, high = float(np.nanmin(pedals)), float(np.nanmax(pedals))
+    return {"clear": True, "beyond": max(-low, high - 1.0), "low": low, "high": high}
 
 
 # -- models of computed columns ---------------------------------------------------------------------------------------
@@ -544,11 +537,9 @@ def _along_road(name: str, *meanings: tuple[float, float, str]) -> LogHypothesis
         f"{name} slowly departs from the change of speed, by {{slow:.2g}} m/s^2, as gravity on slopes of {{slope:.1g}} "
         "% does: possibly it contains gravity; do not use it as dv/dt."
     )
-    possible, model = (
-        (Case("slow", LEAST_SLOPE, INF, gravity, f"{name}_with_gravity"),),
-        partial(_change_of_speed, name),
-    )
-    return LogHypothesis("speed", f"{signal} and speed, whole log", ("time", "speed", name), model, factors, possible)
+    possible = (Case("slow", LEAST_SLOPE, INF, gravity, f"{name}_with_gravity"),)
+    model, needs = partial(_change_of_speed, name), ("time", "speed", name)
+    return LogHypothesis("speed", f"{signal} and speed, whole log", needs, model, factors, possible)
 
 
 def _computed(name: str, model: ColumnModel, *cases: Case, needs: tuple[str, ...] = ()) -> LogHypothesis:
@@ -567,6 +558,13 @@ _CLOCK = (
 _STEADY = "the yaw rate is {factor:.3g} times what the steering angle makes of a wheelbase of {wheelbase:g} m"
 _OPPOSITE = "lateral acceleration and yaw rate have opposite signs"
 _COMPUTED = "it is computed, not measured"
+GUESSED_RATIO_CASES = (
+    Case("unclear", 0.0, INF, "the steering ratio cannot be found: neither yaw rate nor road wheels follow the "
+         "steering wheel. Give it, --steering-ratio R, or drive slow bends."),
+    Case("ratio", LARGEST_RATIO, INF, "the steering wheel turns {ratio:.0f} times as far as the road wheels: if it is "
+         "in degrees, say --units steering_wheel=deg (or command=deg)."),
+)  # fmt: skip
+"""Of a log whose steering ratio is to be found: its first guess."""
 LOG_HYPOTHESES = (
     LogHypothesis("positions", "positions and speed, whole log", (), _positions, _factor_cases(
         "speed: the positions move at {factor:.3g} times the speed",
@@ -642,5 +640,9 @@ LOG_HYPOTHESES = (
         "longitudinal_acceleration", (0.0, 0.2, f"{_UNIT}."), (0.2, 3.5, ""),
         (3.5, 30.0, "longitudinal_acceleration_in_g"), (30.0, INF, f"{_UNIT}."),
     ),
+    LogHypothesis("pedals", "throttle and brake", ("throttle", "brake"), _pedals, (Case(
+        "beyond", 0.01, INF, "throttle and brake reach from {low:.3g} to {high:.3g}: they must be 0 to 1; for per cent "
+        "give --units throttle=%,brake=%."
+    ),)),
 )  # fmt: skip
 """All hypotheses on a log, in the order in which they are evaluated at each stage."""

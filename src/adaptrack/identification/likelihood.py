@@ -180,10 +180,8 @@ class InnovationLikelihood(ABC):
             moved = portable.solve(at.information - its, at.scores[:, rows].sum(axis=1))
             scatter += np.outer(moved, moved)
         slopes = np.eye(self.free.size) if slopes is None else slopes
-        model_variance, observed_variance = (
-            np.sum(product(slopes, matrix) * slopes, axis=1) for matrix in (inverse, scatter)
-        )
-        widened = np.sqrt(np.clip(observed_variance, model_variance, np.sum(slopes * slopes, axis=1)) / model_variance)
+        least, observed = (np.sum(product(slopes, matrix) * slopes, axis=1) for matrix in (inverse, scatter))
+        widened = np.sqrt(np.clip(observed, least, np.sum(slopes * slopes, axis=1)) / least)
         change = portable.solve(slopes, widened[:, None] * slopes)
         return product(product(change, inverse), change.T)
 
@@ -205,8 +203,7 @@ class Likelihood(InnovationLikelihood):
         rows[kernel.LOG_ROW.used], rows[kernel.LOG_ROW.gusts] = used, gusts
         self._rows, self._gusts = rows, rows[kernel.LOG_ROW.gusts]
         self._answer = np.empty((kernel.IDENTIFICATION_ANSWER, log.samples))
-        present = np.array([np.isfinite(getattr(log, name)).any() for name in MEASURED_OUTPUTS])
-        self.present = {name: bool(is_present) for name, is_present in zip(MEASURED_OUTPUTS, present, strict=True)}
+        self.present = {name: bool(np.isfinite(getattr(log, name)).any()) for name in MEASURED_OUTPUTS}
         measured = np.isfinite(rows[kernel.LOG_ROW.yaw_rate : kernel.LOG_ROW.yaw_rate + len(MEASURED_OUTPUTS)])
         self.counts = measured & (rows[kernel.LOG_ROW.used] > 0.0) & self.settled
         self.free = np.flatnonzero((self.spread > 0.0) & self._has_a_say())

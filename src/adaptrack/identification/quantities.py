@@ -148,11 +148,6 @@ def values_of(z: Array, median: Array, spread: Array, kinds: NDArray[np.intp] = 
     )  # fmt: skip
 
 
-def shift_from_zero(ratio: float) -> float:
-    """The shift of z, times the spread, that multiplies the median of a quantity that may be 0 by a ratio."""
-    return ratio - 1.0 if ratio < 1.0 else portable.log(ratio)
-
-
 def beliefs_of(car: Vehicle, priors: Mapping[str, Prior] | None = None) -> dict[str, Prior]:
     """Return the prior of every quantity: body values from the car file, tyre values around it.
 

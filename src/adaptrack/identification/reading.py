@@ -19,8 +19,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
 from adaptrack.core.maths.portable import product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
-from adaptrack.identification.log import hold_values, unwrapped
-from adaptrack.identification.outliers import find_samples
+from adaptrack.identification.log import HOLE_PERIODS, LEAST_GAP, find_samples, hold_values, unwrapped
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 Array = NDArray[np.float64]
@@ -95,8 +94,6 @@ _SHORT = {
 """Units as column names have them."""
 NEEDED_SIGNALS = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
 """Signals, beside the time, whose columns must hold numbers."""
-FROM_ITS_CLOCK, LEAST_HOLE = 3.0, 0.3
-"""Periods of its own clock, and s: a signal has no value farther than the larger of them from its samples."""
 LEAST_WRAP = 0.8
 """Least jump of an angle that wraps, in turns: between two samples it turns by less than the rest."""
 _NOTHING = ("", "nan", "NaN", "NA", "null")
@@ -199,7 +196,11 @@ def read_columns(source: Source, reading: Reading) -> Columns:
         When it is no table of numbers, or names columns that it does not have.
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
-    table = _table_from_arrays(source) if isinstance(source, Mapping) else _load_table(Path(source))
+    if isinstance(source, Mapping):
+        table = _table_from_arrays(source)
+    else:
+        content = read_bytes(source)
+        table = (_parquet if content[:4] == b"PAR1" else _csv)(Path(source), content)
     mapping, notes = _assign_columns(table.columns, reading, where)
     origin = _read_times(table, mapping.get("time"), reading, where)
     values = {}
@@ -217,7 +218,7 @@ def read_columns(source: Source, reading: Reading) -> Columns:
         else:
             notes.append(f"{signal} is left out: the column {column!r} holds no numbers")
             continue
-        if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m", "N", "-") or sign < 0.0:
+        if factor != 1.0 or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
     for signal in [name for name in ("command", "wheel", "steering_wheel") if name in values]:
         values[signal] = _without_turns(signal, values[signal], notes)
@@ -291,10 +292,8 @@ def _on_one_clock(
             )
         if signal in clocks or signal in late:
             values[signal] = _resampled(signal, time, clock - late.get(signal, 0.0), values[signal])
-            clock_note = (
-                "at the times of its own clock" if signal in clocks else f"{late[signal]:g} s earlier than stamped"
-            )
-            notes.append(f"{signal} is read {clock_note}")
+            earlier = f"{late.get(signal, 0.0):g} s earlier than stamped"
+            notes.append(f"{signal} is read {'at the times of its own clock' if signal in clocks else earlier}")
 
 
 def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
@@ -311,7 +310,7 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
     if clock.size < 2:
         return out
     period = float(np.median(np.diff(clock)))
-    hole = max(FROM_ITS_CLOCK * period, LEAST_HOLE)
+    hole = max(HOLE_PERIODS * period, LEAST_GAP)
     if signal == "yaw":
         values = np.unwrap(values)
     at = time[ask]
@@ -458,12 +457,6 @@ def _unit_from_row(signal: str, column: str, cell: str) -> str:
 
 
 # -- tables in files --------------------------------------------------------------------------------------------------
-def _load_table(path: Path) -> LogTable:
-    """The table in a CSV or Parquet file, or in one of `Trajectory.save`."""
-    content = read_bytes(path)
-    return _parquet(path, content) if content[:4] == b"PAR1" else _csv(path, content)
-
-
 def _find_origin(times: CellArray, factor: float) -> int:
     """ns, the first of times that are whole numbers or instants; 0 for others.
 

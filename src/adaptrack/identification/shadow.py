@@ -15,6 +15,7 @@ What came is compared with it; intervals are those of a bootstrap over blocks of
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -45,14 +46,15 @@ from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.models.path import PATH_STATES, discretise_disturbed
+from adaptrack.core.roads.road import nearest
 from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.log import LEAST_GAP, Log, is_rising, log_of
+from adaptrack.identification.log import HOLE_PERIODS, LEAST_GAP, Log, is_rising, log_of
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Columns, Reading, Source, read_logs
 from adaptrack.road import Road, fit_road, load_road
-from adaptrack.road.road_ahead import RoadAhead, foot_near, foot_of_car
+from adaptrack.road.road_ahead import RoadAhead, foot_near
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -239,7 +241,8 @@ def shadow(
             )
     late = read[0].columns.computation if computation is None else computation
     world = load_profile(profile)
-    world = world.replace(period=max(world.period, *(log.period for log in read)), delay=float(late > 0.0))
+    periods = (round(log.log.period, 4) for log in read)  # medians between samples
+    world = world.replace(period=max(world.period, *periods), delay=float(late > 0.0))
     commanded = all(log.log.commanded for log in read)
     steering = vehicle.steering if commanded else None  # a measured wheel is behind the steering
     if uncertainty is None and not commanded:
@@ -250,8 +253,8 @@ def shadow(
     road = path if isinstance(path, Road | None) else load_road(os.fspath(path))
     show = progress or (lambda *_: None)
     shadow_logs = _all(read, road, mpc, without, show)
-    amiss = not without and any(log.doubts or log.bounds or not _is_best(log) for log in shadow_logs)
-    return Shadow(vehicle, mpc.period, shadow_logs, _spoiling(read, road, mpc, shadow_logs, show) if amiss else ())
+    spoiling = () if without else _spoiling(read, road, mpc, shadow_logs, show)
+    return Shadow(vehicle, mpc.period, shadow_logs, spoiling)
 
 
 def _all(
@@ -267,26 +270,29 @@ def _all(
     return tuple(shadow_logs)
 
 
-def _is_best(log: ShadowLog) -> bool:
-    """Whether no other predictor predicts the yaw rate better at the farther time."""
-    errors = log.of("yaw_rate", TIMES[-1])
-    return all(errors["learned"].rms.value <= error.rms.value for error in errors.values())
-
-
 def _spoiling(
     read: Sequence[ReadLog], road: Road | None, mpc: MPC, shadow_logs: Sequence[ShadowLog], show: ProgressCall
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return the `OMITTABLE_SIGNALS` without which fewer logs are doubted, or the learned model errs less."""
+    """Return the `OMITTABLE_SIGNALS` without which fewer logs are doubted, or the learned model errs less.
+
+    They are searched where a log is doubted, or a different predictor predicts the yaw rate better.
+    """
+
+    def errors(log: ShadowLog) -> dict[str, float]:
+        return {name: error.rms.value for name, error in log.of("yaw_rate", TIMES[-1]).items()}
 
     def amiss(logs: Sequence[ShadowLog]) -> tuple[int, float]:
-        compared = [log.of("yaw_rate", TIMES[-1]) for log in logs]
-        error = portable.hypot(*(errors["learned"].rms.value for errors in compared if errors))
+        error = portable.hypot(*(compared["learned"] for compared in map(errors, logs) if compared))
         return sum(bool(log.doubts or log.bounds) for log in logs), error
 
     doubted, error = amiss(shadow_logs)
     best: tuple[str, ...] = ()
+    compared_errors = [errors(log) for log in shadow_logs]
+    if not doubted and all(compared["learned"] <= other for compared in compared_errors for other in compared.values()):
+        return best
     for names in OMITTABLE_SIGNALS:
-        if all(read_log.has_signal(name) for read_log in read for name in names):
+        signals = [read_log.columns.values.get(name, np.nan) for read_log in read for name in names]
+        if all(np.isfinite(values).any() for values in signals):
             fewer, left = amiss(_all(read, road, mpc, names, show))
             if (fewer < doubted and left < error / SPOILT) or (fewer <= doubted and left < SPOILT * error):
                 doubted, error, best = fewer, left, names
@@ -371,20 +377,22 @@ def _summarise_log(
     sentences = check_loop(read.columns, mpc.vehicle).contradictions
     contradictions = [Warned(sentence.rstrip("."), math.nan, 0.0) for sentence in sentences]
     late = time > time[-1] - IN_THE_END
+    spans = [
+        Warned(message, float(mpc.period * there.sum()), float(time[np.argmax(there)]))
+        for message, there in (contradictory | bounds | silent).items()
+        if mpc.period * there.sum() >= LEAST_SPAN
+    ]
     doubts = [contradiction.what for contradiction in contradictions]
     doubts += _lasting_messages(contradictory, late, MAX_CONTRADICTED_SHARE)
     doubts += _lasting_messages(silent, np.ones_like(late), 0.5)
-    better = dict.fromkeys(
-        prediction.predictor
-        for prediction in predictions
-        if prediction.quantity == "yaw_rate" and prediction.ours.low > WORSE
-    )
+    worse = [prediction for prediction in predictions if prediction.ours.low > WORSE]
+    better = dict.fromkeys(prediction.predictor for prediction in worse if prediction.quantity == "yaw_rate")
     doubts += [f"the {PREDICTOR_NAMES[name]} predicts the yaw rate better" for name in better]
     return ShadowLog(
         source=read.name, time=time, command=records["command"], proposed=records["proposed"],
         beliefs={name: records[name] for name in kernel.BELIEF_NAMES}, measured=measured, predicted=expected,
-        predictions=predictions, warnings=(*contradictions, *_spans(contradictory | bounds | silent, time, mpc.period)),
-        doubts=tuple(doubts), bounds=tuple(_lasting_messages(bounds, late, 0.5)), notes=(*read.log.notes, *path_notes),
+        predictions=predictions, warnings=(*contradictions, *spans), doubts=tuple(doubts),
+        bounds=tuple(_lasting_messages(bounds, late, 0.5)), notes=(*read.log.notes, *path_notes),
         before=first.learner.learned(first.known),
         learned=ours.learner.learned(ours.known),
     )  # fmt: skip
@@ -416,13 +424,6 @@ def _lasting_messages(flags: Mapping[str, Flags], late: Flags, share: float) -> 
     return [message for message, there in flags.items() if there[late].mean() > share]
 
 
-def _spans(flags: Mapping[str, Flags], time: Array, period: float) -> Iterator[Warned]:
-    """Yield the messages that hold for `LEAST_SPAN` or longer in all."""
-    for message, there in flags.items():
-        if period * there.sum() >= LEAST_SPAN:
-            yield Warned(message, float(period * there.sum()), float(time[np.argmax(there)]))
-
-
 # -- log --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class ReadLog:
@@ -443,15 +444,6 @@ class ReadLog:
             raise InvalidInput(f"{columns.source}: angles of the steering wheel: say --steering-ratio R.")
         log = log_of(columns.values, car.wheelbase, columns.notes, columns.commanded)
         return cls(os.path.basename(columns.source), columns, log, before)
-
-    @property
-    def period(self) -> float:
-        """s, median between samples"""
-        return round(self.log.period, 4)
-
-    def has_signal(self, name: str) -> bool:
-        """Whether a signal is logged."""
-        return bool(np.isfinite(self.columns.values.get(name, np.nan)).any())
 
     def without(self, names: Sequence[str]) -> ReadLog:
         """Return a copy without signals."""
@@ -490,7 +482,7 @@ def _sample_at(grid: Array, time: Array, values: Array, period: float) -> Array:
         return np.full(grid.size, math.nan)
     after = np.clip(np.searchsorted(t, grid - ON_GRID * period), 1, t.size - 1)
     resampled = np.interp(grid, t, v, math.nan, math.nan)
-    resampled[t[after] - t[after - 1] > max(3.0 * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
+    resampled[t[after] - t[after - 1] > max(HOLE_PERIODS * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
     for near in (after - 1, after):
         there = np.abs(t[near] - grid) <= ON_GRID * period
         resampled[there] = v[near[there]]
@@ -532,7 +524,8 @@ class InstantSamples:
             return self
         measured, station, period = self.measured.copy(), np.zeros(x.size), float(self.time[1] - self.time[0])
         course = np.where(np.isfinite(yaw), yaw, portable.atan2(np.gradient(y), np.gradient(x)))
-        near = foot_of_car(path, x[begin], y[begin], float(np.nan_to_num(course[begin])), ACROSS_PENALTY)
+        start = x[begin], y[begin], float(np.nan_to_num(course[begin]))
+        near = float(nearest(*start, ACROSS_PENALTY, math.nan, path.packed()))
         for k in range(x.size):
             foot = foot_near(path, x[k], y[k], near)
             if math.isfinite(foot.offset):
@@ -607,12 +600,8 @@ def predicted(samples: InstantSamples, ours: Array, first: Array, mpc: MPC, tell
     for name, observed in starts.items():
         z[name][:, _STATE.side] += observed[:, _N]  # what tyres pull less in the bend at hand
     z["steady"][:, _STATE.offset] = 0.0
-    predictions = {
-        (name, quantity, ahead): np.full(n, math.nan)
-        for name in z
-        for quantity in PREDICTED_QUANTITIES
-        for ahead in TIMES
-    }
+    keys = itertools.product(PREDICTORS, PREDICTED_QUANTITIES, TIMES)
+    predictions = {key: np.full(n, math.nan) for key in keys}
     for j in range(max(steps)):
         tell(0.5 + 0.5 * j / max(steps))
         k = start + j

@@ -24,7 +24,7 @@ from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, 
 from adaptrack.identification.estimates import slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import LONGEST_PERIOD, Log
-from adaptrack.identification.log_fit import START_DELAYS, starting_point
+from adaptrack.identification.log_identification import START_DELAYS, starting_point
 from adaptrack.identification.quantities import QUANTITIES, Prior, beliefs_of, report_delay
 
 Array = NDArray[np.float64]

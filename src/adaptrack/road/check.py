@@ -76,11 +76,7 @@ def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None)
     InvalidInput
         When a speed is not positive.
     """
-    if (
-        not isinstance(speed, SpeedPlan)
-        and speed is not None
-        and not 0.0 < real("check_road", "speed", speed) < math.inf
-    ):
+    if not isinstance(speed, SpeedPlan | None) and not 0.0 < real("check_road", "speed", speed) < math.inf:
         raise InvalidInput(f"check_road: speed = {speed!r} m/s: must be > 0.")
     places = _Places(road, speed)
     findings = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
@@ -227,12 +223,8 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     allowed = np.minimum(plan.comfort.lateral, plan.comfort.grip_share * road.along("friction", first) * GRAVITY)
     straight = np.maximum(np.abs(np.diff(heading[turns])) / half, STRAIGHT_CURVATURE)
     calm = np.minimum(np.sqrt(allowed / straight), np.minimum(road.along("speed_limit", first), plan.speed.max()))
-    felt = (
-        np.maximum(
-            speed * speed * swing / allowed, 2.0 * (speed * speed * speed) * swing / half / plan.comfort.lateral_jerk
-        )
-        > FELT
-    )
+    jerk = 2.0 * (speed * speed * speed) * swing / half
+    felt = np.maximum(speed * speed * swing / allowed, jerk / plan.comfort.lateral_jerk) > FELT
     small = swing * portable.square(half / math.pi) < max(RIPPLE, 0.5 * road.deviation)
     rows = np.flatnonzero(small & felt & (speed < SLOWED * calm))
     swings = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= MIN_SWINGS]

@@ -131,19 +131,15 @@ def fit_road(
         estimate, outliers = _cross_validated(record, max_deviation is None)
     bound = max_deviation
     if bound is None:
-        bound = (
-            MAX_DEVIATION if math.isnan(estimate.noise) else max(MAX_DEVIATION, MAX_NOISE_DEVIATIONS * estimate.noise)
-        )
+        bound = max(MAX_DEVIATION, MAX_NOISE_DEVIATIONS * np.nan_to_num(estimate.noise))
     fit = _bounded_fit(estimate, bound)
     notes += _gap_notes(fit, estimate.record)
     road, fitted = _road(fit, record), estimate.record.rows
     s = np.interp(np.arange(count), fitted, fit.along)
-    values = {
-        key: _sort_by_arc_length(s, value[:count], road)
-        if isinstance(value, np.ndarray) and value.shape == (len(points),)
-        else value
-        for key, value in along.items()
-    }
+    values = dict(along)
+    for key, value in along.items():
+        if isinstance(value, np.ndarray) and value.shape == (len(points),):
+            values[key] = _sort_by_arc_length(s, value[:count], road)
     if height is not None and "grade" not in along:
         heights = _check_heights(height, len(points))[:count]
         values["grade"], note = grade_of_heights(s, heights, road.length, record.closed)
@@ -493,12 +489,10 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
         before = first[advance < -1e-3 * spacing]
         count = int(before[-1]) + 1 if before.size else int(first[0])
     remaining_length = float(s[-1] - s[min(count, len(points) - 1)])
-    excess = (
-        [f"the record goes on for {remaining_length:.0f} m beyond its start: left out"]
-        if remaining_length > 2.0 * near
-        else []
-    )
-    return count, True, ["a closed lap", *excess]
+    notes = ["a closed lap"]
+    if remaining_length > 2.0 * near:
+        notes.append(f"the record goes on for {remaining_length:.0f} m beyond its start: left out")
+    return count, True, notes
 
 
 # -- the fit ----------------------------------------------------------------------------------------------------------

@@ -108,10 +108,8 @@ def read_opendrive(
     except ConfigError:
         raise
     except InvalidInput as error:
-        middle = (
-            "" if lane is None else f" The line is the middle of lane {lane}: see its <width> and the <laneOffset>."
-        )
-        raise ConfigError(f"{where}: {error}{middle}") from None
+        middle = f" The line is the middle of lane {lane}: see its <width> and the <laneOffset>."
+        raise ConfigError(f"{where}: {error}{'' if lane is None else middle}") from None
     unread = dict.fromkeys(
         name for child in root if child.tag != "road" or child is element for name in _unread(root, child)
     )
@@ -176,7 +174,7 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
     table = reference
     values, height_notes = lanes.along()
     if lanes.line is not None:
-        table, base_s, s = line_at_offset(reference, *lanes.line, lanes.extent)
+        table, base_s, s = line_at_offset(reference, lanes.line, lanes.extent)
         values |= {name: _per_arc_length(values[name], base_s, s) for name in ("grade",) if name in values}
         values = {name: _on_line(along, base_s, s) for name, along in values.items()}
     table, shifts = _close_gaps(table, notes)

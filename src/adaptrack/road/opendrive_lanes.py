@@ -8,8 +8,9 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
+from operator import itemgetter
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
@@ -24,12 +25,9 @@ from adaptrack.road.station_table import NO_LIMIT, Along
 from adaptrack.road.table import Pieces, cubic_line, points_on_pieces
 
 Cubics = list[tuple[float, Array]]
-"""Arc lengths at which cubics begin (m), each with its coefficients."""
-CubicLaws = tuple[list[float], Array]
-"""Where cubics in the arc length begin (m), and their coefficients (m, 4)."""
-
-Part = tuple[float, float, list[tuple[float, Cubics]]]
-"""Start and end (m), and weighted cubics of which the sum counts there."""
+"""Arc lengths at which cubics begin (m), in their order, each with its coefficients (4,): one after the other."""
+Part = tuple[float, float, list[Cubics]]
+"""Start and end (m), and cubics of which the sum counts there."""
 
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 HALF_TRACK = 0.75
@@ -278,12 +276,12 @@ class Lanes:
     # ---- distances and widths
 
     @cached_property
-    def line(self) -> CubicLaws | None:
+    def line(self) -> Cubics | None:
         """The distance of the line from the reference line; None where it is always 0."""
         if self._path is None:
-            offset = self._combined([(1.0, self._offset)]) if any(law.any() for _, law in self._offset) else None
+            offset = _combined([self._offset]) if any(law.any() for _, law in self._offset) else None
             return offset and self._checked(offset, f"<laneOffset> jumps by {{:.3g}} m: choose a lane: {self._ids()}")
-        summed = [(1.0, self._offset)]
+        summed = [self._offset]
         for rank in range(1, max(abs(number) for number, _ in self._path) + 1):
             cubics: Cubics = []
             for number, stretch in self._path:
@@ -291,18 +289,16 @@ class Lanes:
                 inner = int(math.copysign(rank, number))
                 widths = self._width(inner, stretch) if share else [(stretch.start, np.zeros(4))]
                 cubics += [(s, math.copysign(share, number) * width) for s, width in widths]
-            summed.append((1.0, cubics))
+            summed.append(cubics)
         remedy = f"its <link>, <width> and <laneOffset> do not fit; choose a different lane: {self._ids()}"
-        return self._checked(self._combined(summed), f"lane {self._path[0][0]} jumps by {{:.3g}} m: {remedy}")
+        return self._checked(_combined(summed), f"lane {self._path[0][0]} jumps by {{:.3g}} m: {remedy}")
 
-    def _checked(self, laws: CubicLaws, flaw: str) -> CubicLaws:
+    def _checked(self, cubics: Cubics, flaw: str) -> Cubics:
         """The distances of a line that has no jump in its extent."""
-        starts, rows = laws
-        for k in range(1, len(starts)):
-            jump = rows[k][0] - _shifted(rows[k - 1], starts[k] - starts[k - 1])[0]
-            if abs(jump) > MAX_CLOSED_GAP and self.extent[0] < starts[k] < self.extent[1]:
-                raise ConfigError(f"{self._where}: at s = {starts[k]:.2f} m {flaw.format(abs(jump))}.")
-        return laws
+        for s, jump in _jumps(cubics):
+            if abs(jump) > MAX_CLOSED_GAP and self.extent[0] < s < self.extent[1]:
+                raise ConfigError(f"{self._where}: at s = {s:.2f} m {flaw.format(abs(jump))}.")
+        return cubics
 
     @cached_property
     def extent(self) -> tuple[float, float]:
@@ -324,11 +320,12 @@ class Lanes:
     def _half_width(self) -> Along:
         """Half the width of the lane; 0 before its first section and behind its last one."""
         parts: list[Part] = [
-            (stretch.start, stretch.end, [(0.5, self._width(lane, stretch))]) for lane, stretch in self._path or ()
+            (stretch.start, stretch.end, [[(s, 0.5 * cubic) for s, cubic in self._width(lane, stretch)]])
+            for lane, stretch in self._path or ()
         ]
         first, last, length = parts[0][0], parts[-1][1], self._stations.length
         parts = [(0.0, first, []), *parts] if first > 0.0 else parts
-        return self._sampled([*parts, (last, length, [])] if last < length else parts)
+        return _sampled_sums([*parts, (last, length, [])] if last < length else parts)
 
     def _width(self, number: int, stretch: _Stretch) -> Cubics:
         """The width of a lane within a section."""
@@ -338,19 +335,6 @@ class Lanes:
         if width is None:
             raise ConfigError(f"{self._where}: lane {number} has a <border>, which is not read; give it a <width>.")
         return width or [(stretch.start, np.zeros(4))]
-
-    def _combined(self, summed: Sequence[tuple[float, Cubics]]) -> CubicLaws:
-        """The weighted sum of piecewise cubics."""
-        starts = sorted({0.0, *(s for _, laws in summed for s, _ in laws)})
-        starts = [s for k, s in enumerate(starts) if k == 0 or s > starts[k - 1] + 1e-9]
-        rows = np.zeros((len(starts), 4))
-        for weight, laws in summed:
-            for row, s in enumerate(starts):
-                before = [law for law in laws if law[0] <= s + 1e-9]
-                if before:
-                    begin, coefficients = before[-1]
-                    rows[row] += weight * _shifted(coefficients, s - begin)
-        return starts, rows
 
     def _widths(self) -> dict[str, Along]:
         """Width to the left and to the right of the line, where the file has lanes."""
@@ -364,17 +348,12 @@ class Lanes:
 
     def _side_width(self, side: Sequence[_Stretch]) -> Along:
         """The width of all driving lanes of a side."""
-        along = self._sampled(
-            [
-                (stretch.start, stretch.end, [(1.0, self._width(number, stretch)) for number in stretch.driven_lanes])
-                for stretch in side
-            ]
-        )
+        parts: list[Part] = [
+            (stretch.start, stretch.end, [self._width(number, stretch) for number in stretch.driven_lanes])
+            for stretch in side
+        ]
+        along = _sampled_sums(parts)
         return along.replace(value=tuple(np.maximum(along.value, LEAST_WIDTH).tolist()))
-
-    def _sampled(self, parts: Sequence[Part]) -> Along:
-        """Weighted sums of piecewise cubics, each from an arc length to the next one."""
-        return _sampled((start, end, partial(_law_values, self._combined(summed))) for start, end, summed in parts)
 
     # ---- what lies along
 
@@ -415,7 +394,7 @@ class Lanes:
         def bank_from(start: float, s: Array) -> Array:
             if levels and _latest(levels, start):
                 return np.zeros_like(s)
-            return surface.bank(start, s, np.zeros_like(s) if line is None else _law_values(line, s))
+            return surface.bank(start, s, np.zeros_like(s) if line is None else _values(line, s))
 
         ends = [*starts[1:], length]
         bank = _sampled((start, end, partial(bank_from, start)) for start, end in zip(starts, ends, strict=True))
@@ -424,10 +403,7 @@ class Lanes:
     def _grade(self) -> tuple[dict[str, Along], list[str]]:
         """The grade of the reference line, the slope of its elevations; a note on the largest step between two."""
         laws = self._stations.cubics(self._road.findall("elevationProfile/elevation"))
-        steps = [
-            (after[0] - _shifted(law, end - start)[0], end) for (start, law), (end, after) in itertools.pairwise(laws)
-        ]
-        step, s = max(steps, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
+        s, step = max(_jumps(laws), key=lambda jump: abs(jump[1]), default=(0.0, 0.0))
         notes = [f"the height steps by {step:.3g} m at s = {s:.2f} m: left out"] if abs(step) > HEIGHT_STEP else []
         if not laws or laws[0][0] > 0.0:  # level before the first one
             laws = [(0.0, np.zeros(4)), *laws]
@@ -452,20 +428,42 @@ def _runs_with_road(number: int, lane: _Lane, rule: str) -> bool:
     return ((number < 0) == (rule == "RHT")) == (lane.direction == "standard")
 
 
-def _samples(start: float, end: float) -> Array:
-    return np.linspace(start, end, max(1, math.ceil((end - start) / SAMPLE_SPACING)) + 1)
+def _combined(summed: Sequence[Cubics]) -> Cubics:
+    """The sum of cubics."""
+    starts = sorted({0.0, *(s for cubics in summed for s, _ in cubics)})
+    starts = [s for k, s in enumerate(starts) if k == 0 or s > starts[k - 1] + 1e-9]
+    total = [(s, np.zeros(4)) for s in starts]
+    for cubics in summed:
+        for s, coefficients in total:
+            for begin, cubic in [law for law in cubics if law[0] <= s + 1e-9][-1:]:
+                coefficients += _shifted(cubic, s - begin)
+    return total
 
 
-def _law_values(laws: CubicLaws, s: Array) -> Array:
-    """Piecewise cubics at arc lengths."""
-    starts, rows = np.array(laws[0]), laws[1]
+def _jumps(cubics: Cubics) -> Iterator[tuple[float, float]]:
+    """Where a cubic follows another one, and by how much it begins above the end of that."""
+    for (start, cubic), (end, after) in itertools.pairwise(cubics):
+        yield end, after[0] - _shifted(cubic, end - start)[0]
+
+
+def _values(cubics: Cubics, s: Array) -> Array:
+    """Cubics at arc lengths."""
+    starts, rows = (np.array(column) for column in zip(*cubics, strict=True))
     row = np.maximum(np.searchsorted(starts, s, "right") - 1, 0)
     return _shifted(rows[row].T, s - starts[row])[0]
 
 
+def _sampled_sums(parts: Iterable[Part]) -> Along:
+    """Sums of cubics, each from an arc length to the next one."""
+    return _sampled((start, end, partial(_values, _combined(summed))) for start, end, summed in parts)
+
+
 def _sampled(parts: Iterable[tuple[float, float, Callable[[Array], Array]]]) -> Along:
     """Functions of the arc length, each from a start to an end; samples at one place are moved 1e-6 m apart: a step."""
-    samples = [(_samples(start, end), function) for start, end, function in parts]
+    samples = [
+        (np.linspace(start, end, max(1, math.ceil((end - start) / SAMPLE_SPACING)) + 1), function)
+        for start, end, function in parts
+    ]
     values = np.concatenate([function(places) for places, function in samples])
     s = np.maximum.accumulate(np.concatenate([places for places, _ in samples]))
     for k in range(1, s.size):
@@ -481,15 +479,15 @@ def _shifted(c: Array, b: float | Array) -> Array:
 
 
 def line_at_offset(
-    base: Pieces, starts: Sequence[float], rows: Array, extent: tuple[float, float] | None = None
-) -> tuple[Pieces, Array, Array]:
+    base: Pieces, offsets: Cubics, extent: tuple[float, float] | None = None
+) -> tuple[Pieces, Array, Array]:  # fmt: skip
     """The line at a lateral offset from another, and the arc lengths (m) of its samples on the base and on itself.
 
     A cubic with their directions goes through samples at most `OFFSET_STEP` apart and at the joints of both lines.
 
     Parameters
     ----------
-    starts, rows : (m,) and (m, 4)
+    offsets
         Where along the base each cubic of the offset begins (m), and its coefficients; positive to the left, m.
     extent : (start, end)
         The part of the base (m) beside which the line lies; by default all of it.
@@ -500,6 +498,7 @@ def line_at_offset(
         Where the line passes the centre of curvature of its base.
     """
     first, last = extent or (0.0, base.length)
+    starts, rows = (np.array(column) for column in zip(*offsets, strict=True))
     s = np.unique(np.concatenate([base.start, starts, np.arange(0.0, base.length, OFFSET_STEP), [first, last]]))
     s = s[(s >= first) & (s <= last)]
     s = s[np.append(True, np.diff(s) > SHORTEST_SAMPLE)]  # editors leave elements of micrometres
@@ -510,7 +509,7 @@ def line_at_offset(
     ends = []
     for end in (s[:-1], s[1:]):
         points = points_on_pieces(base.pieces[piece], (end - base.start[piece]) / base.pieces[piece, HALF_LENGTH] - 1.0)
-        offset, slope = _shifted(rows[law].T, end - np.array(starts)[law])[:2]
+        offset, slope = _shifted(rows[law].T, end - starts[law])[:2]
         ahead, normal = 1.0 - offset * points.curvature, 1j * portable.direction(points.heading)
         for k in np.flatnonzero(~(ahead > 0.0))[:1]:
             raise InvalidInput(
@@ -549,7 +548,7 @@ class _Surface:
         for shape in road.findall(profile + "shape"):
             s, t, *cubic = (number_of(where, shape, key) for key in ("s", "t", *"abcd"))
             shapes.setdefault(stations.of(s), []).append((t, np.array(cubic)))
-        self._sections = sorted(shapes.items(), key=lambda section: section[0])
+        self._sections = [(s, sorted(shapes[s], key=itemgetter(0))) for s in sorted(shapes)]
 
     @property
     def starts(self) -> set[float]:
@@ -576,13 +575,7 @@ class _Surface:
             return np.asarray(height)
         (begin, shape), (end, next_shape) = self._sections[k - 1], self._sections[min(k, len(self._sections) - 1)]
         share = (s - begin) / (end - begin) if end > begin else 0.0
-        return np.asarray(height + (1.0 - share) * _shape_height(shape, t) + share * _shape_height(next_shape, t))
-
-
-def _shape_height(shape: Sequence[tuple[float, Array]], t: Array) -> Array:
-    """The height (m) of a cross section of cubics, at distances t (m)."""
-    cubics = sorted(shape, key=lambda cubic: cubic[0])
-    return _law_values(([begin for begin, _ in cubics], np.array([cubic for _, cubic in cubics])), t)
+        return np.asarray(height + (1.0 - share) * _values(shape, t) + share * _values(next_shape, t))
 
 
 def _valid_cubic(cubics: Cubics, start: float, s: Array) -> Array:

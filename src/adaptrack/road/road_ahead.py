@@ -48,14 +48,6 @@ def foot_near(road: Road, x: float, y: float, near: float) -> Projection:
     return Projection(*foot[0].tolist())
 
 
-def foot_of_car(road: Road, x: float, y: float, yaw: float, across: float) -> float:
-    """Arc length (m) of the foot from which a car begins to follow a road: the nearest one in its direction.
-
-    across: m, by which a foot may be nearer where the road leads at right angles to the car.
-    """
-    return float(kernel.nearest(x, y, yaw, across, math.nan, road.packed()))
-
-
 @dataclass(frozen=True, eq=False)
 class RoadAhead:
     """The road from the foot of a car on: what a controller sees of it.

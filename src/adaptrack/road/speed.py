@@ -366,10 +366,8 @@ def _soften(planning: Any, closed: bool) -> None:
     share = 2.0 * jerk / np.maximum(np.maximum(v[1:-1], 0.5 * (v[:-2] + v[2:])), 0.1)
     moving = fastest[1:-1] > 0.0
     bend, share = bend[moving], share[moving]
-    rows, bounds = (
-        [slope, -slope, bend, -bend],
-        [np.maximum(2.0 * drive, 0.0), np.maximum(2.0 * brake, 0.0), share, share],
-    )
+    rows, bounds = [slope, -slope, bend, -bend], [np.maximum(2.0 * force, 0.0) for force in (drive, brake)]
+    bounds += [share, share]
     if closed and fastest[0] > 0.0:
         seam = (slope[[0]] - slope[[n - 2]]) * (2.0 / (ds[0] + ds[-1]))
         rows += [seam, -seam]

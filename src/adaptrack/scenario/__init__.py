@@ -22,25 +22,8 @@ from adaptrack.scenario.shapes import (
 from adaptrack.scenario.signals import Signals
 
 __all__ = [
-    "CONTROL_PERIOD",
-    "SHAPE_TYPES",
-    "Constant",
-    "Gust",
-    "Knots",
-    "LaneChange",
-    "Patch",
-    "RoadDrive",
-    "Scenario",
-    "Shape",
-    "Signals",
-    "Sine",
-    "Step",
-    "Sum",
-    "TanhSteps",
-    "Wind",
-    "as_shape",
-    "list_scenarios",
-    "load_scenario",
-    "random_drive",
-    "scenario_options",
-]
+    "CONTROL_PERIOD", "SHAPE_TYPES",
+    "Constant", "Gust", "Knots", "LaneChange", "Patch", "RoadDrive", "Scenario", "Shape", "Signals", "Sine", "Step",
+    "Sum", "TanhSteps", "Wind",
+    "as_shape", "list_scenarios", "load_scenario", "random_drive", "scenario_options",
+]  # fmt: skip

@@ -39,7 +39,7 @@ COMMON_OPTIONS = (
 """The options of every scenario: fields of `Scenario`, one of its windows, and whether left and right are exchanged."""
 
 DESCRIPTIONS = {
-    "step": ("A step of the lateral reference under constant conditions, as in the tuning of the published MPC."),
+    "step": "A step of the lateral reference under constant conditions, as in the tuning of the published MPC.",
     "lane-change": "One smooth lane change, sized to the friction, and one side gust.",
     "double-lane-change": "Out of the lane and back within the lengths of ISO 3888-1, at constant speed.",
     "sine": "A sinusoidal lateral reference: weaving, for the frequency response.",

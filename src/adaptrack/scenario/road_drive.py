@@ -75,13 +75,8 @@ class RoadDrive:
             raise InvalidInput(
                 "RoadDrive: speed: the plan never reaches the end of the road: its speed is 0 over a stretch."
             )
-        changed = {
-            "speed": plan,
-            "reference": as_shape(self.reference),
-            "wind": as_wind(self.wind),
-            "name": self.name or self.road.name,
-        }
-        for field, value in changed.items():
+        changed = {"speed": plan, "reference": as_shape(self.reference), "wind": as_wind(self.wind)}
+        for field, value in (changed | {"name": self.name or self.road.name}).items():
             object.__setattr__(self, field, value)
 
     @property

@@ -257,16 +257,11 @@ class Scenario(Record):
         """
         columns = _read_table(path)
         wheels = next(names for names in FRICTION_COLUMNS if names[0] in columns)
-        wind = [columns["wind_x"], columns["wind_y"]] if "wind_x" in columns else [columns["wind_y"]]
+        winds = [name for name in ("wind_x", "wind_y") if name in columns]
+        friction, wind = (np.stack([columns[name] for name in names], axis=-1) for names in (wheels, winds))
+        signals = columns["t"], columns["y_ref"], columns["speed"], friction, wind
         try:
-            return cls.from_arrays(
-                columns["t"],
-                columns["y_ref"],
-                columns["speed"],
-                np.stack([columns[name] for name in wheels], axis=-1),
-                np.stack(wind, axis=-1),
-                **({"name": Path(path).stem} | fields),
-            )
+            return cls.from_arrays(*signals, **({"name": Path(path).stem} | fields))
         except InvalidInput as error:
             raise ConfigError(f"{os.fspath(path)}: {error}") from None
 

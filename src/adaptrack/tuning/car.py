@@ -229,7 +229,8 @@ def tune(
     domain = requested.replace(**feasible_domain._asdict()) if feasible_domain != feasible.requested else requested
     default = mpc.tuning
     bench = _Bench(simulated_plant, mpc, profile, domain)
-    runs = _search_runs(bench.on_twin(), effort, seed)
+    cheap = replace(bench, plant=twin_of(car)) if simulated_plant.costly else bench
+    runs = _search_runs(cheap, effort, seed)
     bench.warn_of_time(effort)
     best = _search_tuning(runs, [default, feasible_tuning], effort.swarm, seed, report)
     report("unseen drives", 0, 1)
@@ -268,11 +269,6 @@ class _Bench:
         return random_drive_runs(
             self.plant, self.mpc, numbers, seconds, self.profile, drive_options=options, failure=failure
         )
-
-    def on_twin(self) -> _Bench:
-        """Return the bench for the search, whose plant is the car's twin if the plant is costly."""
-        car = self.mpc.model.vehicle
-        return replace(self, plant=twin_of(car)) if self.plant.costly else self
 
     def warn_of_time(self, effort: TuningEffort) -> None:
         """Log the expected time of all drives with a plant that is stepped in Python, after timing a short drive."""

@@ -124,14 +124,9 @@ class SearchSpace(Record):
     def packed(self) -> Array:
         """Return the space for the kernels, (4, dims), with the rows of `adaptrack.core.tuning.swarm.SPACE`."""
         scale = [portable.log10 if name in self.decades else float for name in self.names]
-        return np.array(
-            [
-                [f(low) for f, low in zip(scale, self.low, strict=True)],
-                [f(high) for f, high in zip(scale, self.high, strict=True)],
-                [float(name in self.integers) for name in self.names],
-                [float(name in self.decades) for name in self.names],
-            ]
-        )
+        bounds = [[f(end) for f, end in zip(scale, ends, strict=True)] for ends in (self.low, self.high)]
+        marks = [[float(name in marked) for name in self.names] for marked in (self.integers, self.decades)]
+        return np.array([*bounds, *marks])
 
     def values(self, x: Array) -> Array:
         """Return the values (..., dims) of internal positions of the swarm, which are logarithms for `decades`."""
@@ -146,9 +141,8 @@ class SearchSpace(Record):
         low, high = np.array(self.low), np.array(self.high)
         is_integer = self.packed()[2]
         slack = np.array([1e-12 if name in self.decades else 0.0 for name in self.names])  # error of 10**log10(x)
-        inside = ((x >= low * (1 - slack)) & (x <= high * (1 + slack)) & ((is_integer < 0.5) | (x == np.round(x)))).all(
-            axis=-1
-        )
+        is_within = (x >= low * (1 - slack)) & (x <= high * (1 + slack))
+        inside = (is_within & ((is_integer < 0.5) | (x == np.round(x)))).all(axis=-1)
         if self.ordered is not None:
             smaller, larger = (self.names.index(name) for name in self.ordered)
             inside &= x[..., smaller] <= x[..., larger]
@@ -205,15 +199,10 @@ class SearchBounds(Record):
 
     def space(self) -> SearchSpace:
         """Return the search space for a swarm. Its initial positions have Np >= 2 Nc, as in the authors' programs."""
-        bounds = [tuple(float(end) for end in pair) for pair in (getattr(self, name) for name in ENTRIES)]
+        low, high = (tuple(float(getattr(self, name)[end]) for name in ENTRIES) for end in (0, 1))
+        decades = ("Q", "R") if self.decades else ()
         return SearchSpace(
-            names=ENTRIES,
-            low=tuple(low for low, _ in bounds),
-            high=tuple(high for _, high in bounds),
-            integers=HORIZONS,
-            decades=("Q", "R") if self.decades else (),
-            ordered=("Nc", "Np"),
-            spread=2.0,
+            names=ENTRIES, low=low, high=high, integers=HORIZONS, decades=decades, ordered=("Nc", "Np"), spread=2.0
         )
 
 
@@ -264,14 +253,12 @@ def search_space(controller: Controller) -> SearchSpace:
             f"the controller {controller.name!r} has no search space: set `tuning_bounds` on its class, (low, high) "
             "for each name in `tuning`; or, in Python, call tune_constant(..., space=SearchSpace(...))."
         )
-    tuning, bounds = controller.tuning, {name: TuningBounds(*pair) for name, pair in controller.tuning_bounds.items()}
+    names, tuning = controller.tuning_names, controller.tuning
+    bounds = {name: TuningBounds(*controller.tuning_bounds[name]) for name in names}
     scale = {name: tuning[name] if limits.relative else 1.0 for name, limits in bounds.items()}
-    return SearchSpace(
-        names=controller.tuning_names,
-        low=tuple(bounds[name].low * scale[name] for name in controller.tuning_names),
-        high=tuple(bounds[name].high * scale[name] for name in controller.tuning_names),
-        decades=tuple(name for name in controller.tuning_names if bounds[name].relative and tuning[name] > 0.0),
-    )
+    low, high = (tuple(getattr(bounds[name], end) * scale[name] for name in names) for end in ("low", "high"))
+    decades = tuple(name for name in names if bounds[name].relative and tuning[name] > 0.0)
+    return SearchSpace(names=names, low=low, high=high, decades=decades)
 
 
 # -- the swarm --------------------------------------------------------------------------------------------------------
