@@ -133,7 +133,8 @@ class Stanley(CompiledController):
 class LQR(CompiledController):
     """Linear-quadratic regulator about the steady turn of the path, with curvature feed-forward.
 
-    With the lateral errors x = [e, v_y + v psi_e, psi_e, r - v kappa] of `error_model`, the steering is
+    With the lateral errors x = [e, v_y + v psi_e, psi_e, r - v kappa] (`core.synthesis.laws.lqr_error_model`), the
+    steering is
 
         delta = (L + K v^2) kappa - gain (x - x_ss),   x_ss = [0, 0, (m l_f v^2/(2 C_r L) - l_r) kappa, 0]
 
@@ -182,26 +183,6 @@ class LQR(CompiledController):
 
     def own_parameters(self) -> Array:
         return _parameters(self.vehicle, self.period, tuple(self.tuning[name] for name in ("q_e", "q_heading", "r")))
-
-    def gain_at(self, speed: float) -> Array:
-        """The feedback gain (4,) of the controller's own weights at a speed (m/s), not interpolated."""
-        A, B = sampled_error_model(self.vehicle, self.period, speed)
-        Q = np.diag([self.tuning["q_e"], 0.0, self.tuning["q_heading"], 0.0]) / self.tuning["r"]
-        return feedback(A, B, riccati(A, B, Q))
-
-
-def error_model(vehicle: Vehicle, speed: float) -> tuple[Array, Array]:
-    """A (4, 4) and B (4,) of dx/dt = A x + B delta, see `core.synthesis.laws.lqr_error_model`."""
-    A, B = np.zeros((4, 4)), np.zeros(4)
-    laws.lqr_error_model(vehicle.numbers, speed, A, B)
-    return A, B
-
-
-def sampled_error_model(vehicle: Vehicle, period: float, speed: float) -> tuple[Array, Array]:
-    """`error_model` over one period (s) with the steering held."""
-    A, B = np.zeros((4, 4)), np.zeros(4)
-    laws.sampled_error_model(vehicle.numbers, period, speed, A, B)
-    return A, B
 
 
 def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:

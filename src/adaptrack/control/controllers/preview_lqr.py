@@ -95,16 +95,6 @@ class PreviewLQR(CompiledController):
         grid = _grid(self._model, self.previewed, e, heading)
         return np.concatenate([head, self._model.parameters(), grid.reshape(-1)])
 
-    def gains_at(self, speed: float) -> Array:
-        """The gains (n + previewed,) of the controller's own weights at a speed (m/s), not interpolated.
-
-        On the deviation of the state from the steady turn (with its sign in the steering), then on the changes of
-        curvature times speed (rad/s) from each period to the next.
-        """
-        A, B, _ = self._model.discrete(speed)
-        e, heading = self.tuning["q_e"] / self.tuning["r"], self.tuning["q_heading"] / self.tuning["r"]
-        return preview_gains(A, B[:, 0], steady_turn(self.vehicle, speed, len(A))[0], e, heading, self.previewed)
-
     def describe(self) -> dict[str, Any]:
         loop = {"belief": str(self.belief), "pose_age": self.pose_age}
         return super().describe() | loop | {"previewed": self.previewed}
