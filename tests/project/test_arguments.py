@@ -209,6 +209,7 @@ BOUNDS = {
     "SteeringTest": "angle [0.02, 0.15]",
     "Tracker": "furthest (0, inf)",
     "Trajectory": "period (0, inf)",
+    "Tuning": "Np [1, 1000]; Nc [1, 200]; Q [0, inf); R (0, inf)",
     "Tyre": "stiffness_front stiffness_rear (0, 1e7]; nominal_load (0, 1e6]; digressive_load_ratio (0, 100];"
     "shape [0.5, 2]; curvature [-20, 1]; friction_load_sensitivity [0, 1]; relaxation_length [0, 10]",
     "Uncertainty": "lag dead_time [0, 1]; stiffness [1, 4]; mass [0, 0.9]",
@@ -261,7 +262,6 @@ IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
     "RoadDrive": (lambda speed: at.RoadDrive(ROAD, speed), "speed (0, 100]"),
     "Stanley": (lambda **options: at.Stanley(CAR, **options),
                 "gain softening yaw_rate_gain dead_time [0, inf); period (0, inf)"),
-    "Tuning": (at.Tuning, "Np [1, 1000]; Nc [1, 200]; Q [0, inf); R (0, inf)"),
     "UserController": (lambda **options: at.UserController(steer_straight, **options), "period (0, inf)"),
     "check_estimator": (lambda speed: at.check_estimator(at.KalmanFilter(), at.PathModel(CAR, 0.1), speed=speed),
                         "speed (0, inf)"),
