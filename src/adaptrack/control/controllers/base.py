@@ -414,14 +414,12 @@ class CompiledController(Controller):
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """The tuning as finite numbers by name, none of them negative; see `Controller.check_tuning`."""
-        where = type(self).__name__
-        for name in self.positive:
-            if not 0.0 < real(where, name, tuning[name]) < math.inf:
-                raise InvalidInput(f"{where}: {name} = {tuning[name]!r}: must be finite and positive.")
         entries = super().check_tuning(tuning)
         for name, value in entries.items():
-            if value < 0.0:
-                raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
+            is_positive = name in self.positive
+            if value < 0.0 or (is_positive and value == 0.0):
+                must = "positive" if is_positive else "not negative"
+                raise InvalidInput(f"{type(self).__name__}: {name} = {value!r}: must be finite and {must}.")
         return entries
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:

@@ -13,7 +13,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.setup import LoopSetup
+from adaptrack.control.controllers.setup import world_and_belief
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.scenario.profile import Profile
 
@@ -85,13 +85,14 @@ class KinematicMPC(CompiledController):
         **weights: float,
     ) -> None:
         self.vehicle = vehicle
-        setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits, computation)
-        self.belief, self.pose_age = setup.belief, setup.pose_age
+        world, period, self.belief = world_and_belief("KinematicMPC", vehicle, profile, belief, period, computation)
+        self.pose_age = 0.0 if profile is None else world.pose_age
         self.stages, self.step_length = stages, step
         tuning = {**_all_weights(weights), "cutoff": cutoff}
-        behind = (self.pose_age + self.belief.delay) / setup.period
+        behind = (self.pose_age + self.belief.delay) / period
         self.memory_size = kernel.memory_size(self.stages, behind)
-        super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
+        preview = world.preview if preview is None else preview
+        super().__init__(tuning, period=period, limits=limits or self.belief.bounds(period), preview=preview)
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """See `Controller.check_tuning`; one of the weights of the steering must be positive."""

@@ -15,7 +15,7 @@ from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.setup import LoopSetup
+from adaptrack.control.controllers.setup import world_and_belief
 from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import preview_lqr as kernel
 from adaptrack.core.maths import portable
@@ -72,16 +72,17 @@ class PreviewLQR(CompiledController):
         preview: bool | None = None,
     ) -> None:
         self.vehicle = vehicle
-        setup = LoopSetup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits, computation)
-        self.belief, self.pose_age = setup.belief, setup.pose_age
-        if not setup.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
+        world, period, self.belief = world_and_belief("PreviewLQR", vehicle, profile, belief, period, computation)
+        self.pose_age = 0.0 if profile is None else world.pose_age
+        if not period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
-        self.previewed = round(ahead / setup.period)
-        self._model = PathModel(vehicle, setup.period, self.belief.lag.value)
-        behind = self.belief.delay / setup.period
+        self.previewed = round(ahead / period)
+        self._model = PathModel(vehicle, period, self.belief.lag.value)
+        behind = self.belief.delay / period
         self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
         tuning = {"q_e": q_e, "q_heading": q_heading, "r": r}
-        super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
+        preview = world.preview if preview is None else preview
+        super().__init__(tuning, period=period, limits=limits or self.belief.bounds(period), preview=preview)
 
     def own_parameters(self) -> Array:
         car, t, belief = self.vehicle, self.tuning, self.belief
