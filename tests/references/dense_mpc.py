@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
-from adaptrack.control.controllers.laws import LQR, feedback, riccati
+from adaptrack.control.controllers.laws import LQR
 from adaptrack.control.controllers.preview_lqr import PreviewLQR, preview_gains, steady_turn
 from adaptrack.control.models import PredictionModel
 from adaptrack.control.qp import QP
@@ -84,7 +84,8 @@ def lqr_gain_at(controller: LQR, speed: float) -> Array:
     A, B, tuning = np.zeros((4, 4)), np.zeros(4), controller.tuning
     laws.sampled_error_model(controller.vehicle.numbers, controller.period, speed, A, B)
     Q = np.diag([tuning["q_e"], 0.0, tuning["q_heading"], 0.0]) / tuning["r"]
-    return feedback(A, B, riccati(A, B, Q))
+    P = solve_discrete_are(A, B[:, None], Q, np.eye(1))
+    return B @ P @ A / (1.0 + B @ P @ B)
 
 
 def preview_gains_at(controller: PreviewLQR, speed: float) -> Array:
@@ -97,7 +98,7 @@ def preview_gains_at(controller: PreviewLQR, speed: float) -> Array:
     X, _ = steady_turn(controller.vehicle, speed, len(A))
     tuning = controller.tuning
     return preview_gains(
-        A, B[:, 0], X, tuning["q_e"] / tuning["r"], tuning["q_heading"] / tuning["r"], controller.previewed
+        A, B[:, 0].copy(), X, tuning["q_e"] / tuning["r"], tuning["q_heading"] / tuning["r"], controller.previewed
     )
 
 

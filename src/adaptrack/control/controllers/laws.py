@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import Annotated, Any, ClassVar, final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Hint, NotNegative, Positive, checked, real, whole_number
 from adaptrack.base.errors import InvalidInput
@@ -28,7 +27,7 @@ GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.
 """m/s, where gains are computed; between them they are interpolated over log v."""
 WEIGHT_FACTORS = portable.power(10.0, np.linspace(-laws.GAIN_DECADES, laws.GAIN_DECADES, laws.GAIN_WEIGHTS))
 """Of q_e/r and q_heading/r, about the controller's own: where gains are computed for weights that change."""
-_FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
+WEIGHTS_TOO_FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
 
 
 def steering_delay(vehicle: Vehicle) -> float:
@@ -185,45 +184,12 @@ class LQR(CompiledController):
         return _parameters(self.vehicle, self.period, tuple(self.tuning[name] for name in ("q_e", "q_heading", "r")))
 
 
-def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:
-    """P (..., n, n) of the Riccati equation of x' = A x + B u with the cost sum x'Q x + u^2.
-
-    A, Q (..., n, n), B (..., n), see `core.synthesis.laws.riccati`.
-
-    Raises
-    ------
-    InvalidInput
-        When the iteration does not converge: weights further apart than float64 can tell.
-    """
-    (a, b), q = _models(A, B), np.ascontiguousarray(Q, dtype=float)
-    n = b.shape[-1]
-    solution, work = np.empty(a.shape), np.empty(7 * n * n)
-    with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
-        for i in np.ndindex(b.shape[:-1]):
-            if laws.riccati(a[i], b[i], q[i], solution[i], work) == 0:
-                raise InvalidInput(_FAR_APART)
-    return solution
-
-
-def feedback(A: ArrayLike, B: ArrayLike, P: Array) -> Array:
-    """The gains (..., n), (1 + B'PB)^-1 B'PA."""
-    a, b = _models(A, B)
-    gains = np.empty(b.shape)
-    for i in np.ndindex(b.shape[:-1]):
-        laws.lqr_feedback(a[i], b[i], P[i], gains[i])
-    return gains
-
-
-def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
-    return np.ascontiguousarray(A, dtype=float), np.ascontiguousarray(B, dtype=float)
-
-
 @lru_cache(maxsize=64)
 def _parameters(vehicle: Vehicle, period: float, tuning: tuple[float, ...]) -> Array:
     """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
     parameters = np.zeros(laws.LQR_NUMBERS)
     if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), parameters) == 0:
-        raise InvalidInput(_FAR_APART)
+        raise InvalidInput(WEIGHTS_TOO_FAR_APART)
     return parameters[len(laws.Common._fields) :]
 
 

@@ -13,13 +13,14 @@ from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
-from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
+from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, WEIGHTS_TOO_FAR_APART
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import world_and_belief
 from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import preview_lqr as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
+from adaptrack.core.synthesis import laws
 from adaptrack.scenario.profile import Profile
 
 CURVATURE_PREVIEW = 3.0
@@ -117,18 +118,27 @@ def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: Array
 
     A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights
     for every model.
+
+    Raises
+    ------
+    InvalidInput
+        When the weights are further apart than float64 can tell.
     """
-    Q = np.zeros_like(A)
+    n, (Q, P), K = B.shape[-1], np.zeros((2, *A.shape)), np.empty(B.shape)
     Q[..., 1, 1], Q[..., -1, -1] = q_heading, q_e
-    P = riccati(A, B, Q)
-    K = feedback(A, B, P)
+    work = np.empty(7 * n * n)
+    with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
+        for i in np.ndindex(B.shape[:-1]):
+            if laws.riccati(A[i], B[i], Q[i], P[i], work) == 0:
+                raise InvalidInput(WEIGHTS_TOO_FAR_APART)
+            laws.lqr_feedback(A[i], B[i], P[i], K[i])
     closed = A - B[..., :, None] * K[..., None, :]
-    gains = np.empty((*K.shape[:-1], K.shape[-1] + count))
-    gains[..., : K.shape[-1]] = -K
+    gains = np.empty((*K.shape[:-1], n + count))
+    gains[..., :n] = -K
     column, later = B[..., None], product(P, X[..., None])
     denominator = 1.0 + (column * product(P, column)).sum(axis=-2)[..., 0]
     for j in range(count):
-        gains[..., K.shape[-1] + j] = (column * later).sum(axis=-2)[..., 0] / denominator
+        gains[..., n + j] = (column * later).sum(axis=-2)[..., 0] / denominator
         later = product(np.moveaxis(closed, -1, -2), later)
     return gains
 
