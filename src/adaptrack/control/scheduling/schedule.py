@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, checked, real, reals
-from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName, did_you_mean
-from adaptrack.base.files import SHIPPED, read_json, write_atomically
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean
+from adaptrack.base.files import read_json, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.registry import Contract
+from adaptrack.cars.vehicle import find_data, list_data
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.controllers.base import Policy
 from adaptrack.control.controllers.compatibility import car_of
@@ -50,7 +51,6 @@ MAX_HORIZON = 1000
 """The longest horizon that a schedule may ask for: a controller makes room for it."""
 SCHEDULER_FORMAT, VERSION = "adaptrack-scheduler", 2
 """Of the files of schedules: JSON with a format, a version and a checksum."""
-_DATA = SHIPPED / "schedulers"
 
 
 @dataclass(frozen=True, eq=False)
@@ -508,7 +508,7 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     StorageError
         When the file cannot be read, is damaged, is not a scheduler, or has a version that this program cannot read.
     """
-    path = _path(name_or_path)
+    path = find_data("schedulers", name_or_path, ".json")
     content = _read_content(path)
     try:
         schedule = replace(Schedule.loaded(content), name=path.stem)
@@ -522,7 +522,7 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
 
 def list_schedulers() -> list[str]:
     """The names of the schedulers that ship with the package."""
-    return sorted(path.stem for path in _DATA.glob("*.json"))
+    return list_data("schedulers", ".json")
 
 
 def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
@@ -538,19 +538,6 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
         },
         "kernels": kernels_hash(),
     }
-
-
-def _path(name_or_path: str | os.PathLike[str]) -> Path:
-    path = Path(name_or_path)
-    if not isinstance(name_or_path, str) or path.suffix == ".json" or len(path.parts) != 1:
-        return path
-    path = _DATA / f"{name_or_path}.json"
-    if not path.exists():
-        raise UnknownName(
-            f"no scheduler is named {name_or_path!r}. {did_you_mean(name_or_path, list_schedulers())} "
-            "A file is given by its .json path."
-        )
-    return path
 
 
 def _read_content(path: Path) -> Any:
