@@ -506,21 +506,10 @@ def input_check_of(controller: Any) -> InputCheck:
 
 def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
     """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`)."""
-    return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan), check.check)
-
-
-def packed_plan(plan: SpeedPlan | None) -> Any:
-    """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
-    both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
-    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
-
-
-def _settings(controller: Any, furthest: float) -> Any:
-    """A tracker's settings, see `core.tracker.records.TRACKER_SETTINGS`."""
     car, limits, period = controller.vehicle, controller.limits, float(controller.period)
     low, high = (-math.inf, math.inf) if limits is None else limits.angle
     has_car = car is not None
-    return records.TRACKER_SETTINGS.new(
+    settings = records.TRACKER_SETTINGS.new(
         period=period,
         angle_min=max(low, -MOST_WHEEL_ANGLE),
         angle_max=min(high, MOST_WHEEL_ANGLE),
@@ -534,6 +523,13 @@ def _settings(controller: Any, furthest: float) -> Any:
         nominal_friction=Perception().nominal_friction,
         first_top_speed=math.inf if controller.learner is None else controller.learner.first_top_speed,
     )
+    return records.tracker(settings, stacked(path), packed_plan(plan), check.check)
+
+
+def packed_plan(plan: SpeedPlan | None) -> Any:
+    """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
+    both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
+    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
 
 
 def tracking_of(
