@@ -94,7 +94,7 @@ def test_the_law_applies_the_gains_at_the_nodes_of_its_table_and_nearly_so_betwe
 @pytest.mark.parametrize("factor", [0.03, 0.5, 30.0])
 def test_weights_that_change_change_the_gains_as_weights_given_at_the_start(factor):
     controller, expected = make_controller(), make_controller(q_e=factor)
-    controller._tuning[0] = factor
+    controller.own_part.tuning[0, 0] = factor
     answers = [law.step([0.0, 0.0, 0.0, 0.01], 12.0, np.zeros(1)).angle for law in (controller, expected)]
     assert answers[0] == pytest.approx(answers[1], rel=0.06)
 
