@@ -213,6 +213,7 @@ BOUNDS = {
     "Tyre": "stiffness_front stiffness_rear (0, 1e7]; nominal_load (0, 1e6]; digressive_load_ratio (0, 100];"
     "shape [0.5, 2]; curvature [-20, 1]; friction_load_sensitivity [0, 1]; relaxation_length [0, 10]",
     "Uncertainty": "lag dead_time [0, 1]; stiffness [1, 4]; mass [0, 0.9]",
+    "UserController": "memory_size [0, inf)",
     "UserModel": "period (0, inf)",
     "UserPlant": "mass longest_step engine_power traction_limit brake_limit (0, inf); steps [1, inf)",
     "Vehicle": "mass (0, 1e5]; yaw_inertia stiffness_front stiffness_rear engine_power (0, 1e7]; lf lr (0, 20];"
@@ -274,7 +275,7 @@ IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
 
 UNBOUNDED = {
     "KinematicMPC": {"weights"}, "RoadAhead": {"station"}, "RoadDrive": {"reference"}, "Trajectory": {"failed_at"},
-    "UserController": {"memory_size"}, "UserEstimator": {"memory_size"}, "export_c": {"furthest"},
+    "UserEstimator": {"memory_size"}, "export_c": {"furthest"},
     "export_page": {"speed", "lateral_acceleration", "seed"},
 }  # fmt: skip
 """Numbers in signatures of public calls that have no interval, or one that depends on other arguments."""

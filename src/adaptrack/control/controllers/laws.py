@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, final
 
 import numpy as np
 
-from adaptrack.base.checked import Hint, NotNegative, Positive, checked, real, whole_number
+from adaptrack.base.checked import Finite, Hint, Natural, NotNegative, Number, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
@@ -223,30 +222,23 @@ class UserController(CompiledController):
         law: MemberFunction,
         *,
         tuning: Mapping[str, float] | None = None,
-        parameters: Mapping[str, float] | None = None,
-        memory_size: int = 0,
+        parameters: Mapping[str, Finite] | None = None,
+        memory_size: Natural = 0,
         diagnostics: Sequence[str] = (),
-        bounds: Mapping[str, tuple[float, float]] | None = None,
+        bounds: Mapping[str, tuple[Number, Number]] | None = None,
         period: float = 0.1,
         limits: LimitsArgument | None = None,
         preview: bool = False,
         label: str = "user",
     ) -> None:
-        self.law, self.label = law, label
-        self.name = label
+        self.law, self.label, self.name = law, label, label
+        self.constants, self.memory_size = dict(parameters or {}), memory_size
         where = f"UserController {label!r}"
-        self.constants = {name: real(where, name, value) for name, value in (parameters or {}).items()}
-        faulty = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
-        if faulty:
-            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(faulty)}.")
-        self.memory_size = whole_number(where, "memory_size", memory_size, least=0)
         self.tuning_names, self.diagnostic_names = tuple(tuning or {}), tuple(diagnostics)
         if bounds and set(bounds) - set(self.tuning_names):
             raise InvalidInput(f"{where}: bounds of {', '.join(bounds)}: must be of {', '.join(self.tuning_names)}.")
         self.tuning_bounds = dict.fromkeys(self.tuning_names, TWO_DECADES)
-        self.tuning_bounds |= {
-            name: TuningBounds(float(ends[0]), float(ends[1])) for name, ends in (bounds or {}).items()
-        }
+        self.tuning_bounds |= {name: TuningBounds(*ends) for name, ends in (bounds or {}).items()}
         form = "law as f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays"
         self.function = compile_function(where, compile_law, law, form)
         super().__init__(tuning or {}, period=period, limits=limits, preview=preview)
