@@ -173,7 +173,7 @@ class _PathTracking:
         self._speed = speed if acceleration else None
         self.task = Task(**task, driver=RequestedForces()) if acceleration else Task(**task)
         vehicle, plant, profile = self.task.base_car()
-        _, period, belief = world_and_belief("PathTracking", vehicle, profile, None, None)
+        _, period, belief = world_and_belief(vehicle, profile, None)
         steering = belief.bounds(period).angle
         actions, columns = [steering], [*OBSERVATION_BOUNDS.items()]
         for signal, bounds in PREVIEW_BOUNDS.items():

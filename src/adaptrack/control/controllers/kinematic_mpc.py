@@ -13,7 +13,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.setup import world_and_belief
+from adaptrack.control.controllers.setup import ComputationArgument, PeriodArgument, world_and_belief
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.scenario.profile import Profile
 
@@ -78,14 +78,14 @@ class KinematicMPC(CompiledController):
         step: Annotated[Positive, "s"] = AUTOWARE_STAGE_LENGTH,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
-        computation: float | None = None,
-        period: float | None = None,
+        computation: ComputationArgument | None = None,
+        period: PeriodArgument | None = None,
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
         **weights: float,
     ) -> None:
         self.vehicle = vehicle
-        world, period, self.belief = world_and_belief("KinematicMPC", vehicle, profile, belief, period, computation)
+        world, period, self.belief = world_and_belief(vehicle, profile, belief, period, computation)
         self.pose_age = 0.0 if profile is None else world.pose_age
         self.stages, self.step_length = stages, step
         tuning = {**_all_weights(weights), "cutoff": cutoff}

@@ -15,7 +15,7 @@ from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, WEIGHTS_TOO_FAR_APART
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.setup import world_and_belief
+from adaptrack.control.controllers.setup import ComputationArgument, PeriodArgument, world_and_belief
 from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import preview_lqr as kernel
 from adaptrack.core.maths import portable
@@ -67,13 +67,13 @@ class PreviewLQR(CompiledController):
         ahead: float = CURVATURE_PREVIEW,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
-        computation: float | None = None,
-        period: float | None = None,
+        computation: ComputationArgument | None = None,
+        period: PeriodArgument | None = None,
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
         self.vehicle = vehicle
-        world, period, self.belief = world_and_belief("PreviewLQR", vehicle, profile, belief, period, computation)
+        world, period, self.belief = world_and_belief(vehicle, profile, belief, period, computation)
         self.pose_age = 0.0 if profile is None else world.pose_age
         if not period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
