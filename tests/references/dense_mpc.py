@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm, solve_discrete_are
+from scipy.linalg import expm, solve_discrete_are, toeplitz
 
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.laws import LQR
@@ -20,27 +20,19 @@ Array = npt.NDArray[np.float64]
 
 
 # -- the paper's MPC ---------------------------------------------------------------------------------------------------
-def augmented(model: PredictionModel, speed: float) -> tuple[Array, Array, Array]:
-    """Eq. (9): A~ (n+1, n+1), B~ (n+1, 1), C~ (1, n+1) in x~ = [change of x, y], with the move as input."""
-    a, b, c = model.discrete(speed)
-    return (
-        np.block([[a, np.zeros((model.n, 1))], [c @ a, np.eye(1)]]),
-        np.vstack([b, c @ b]),
-        np.hstack([np.zeros((1, model.n)), np.eye(1)]),
-    )
-
-
 def prediction(model: PredictionModel, speed: float, Np: int, Nc: int) -> tuple[Array, Array]:
-    """Eq. (10): F (Np, n+1) and Phi (Np, Nc) with Y = F x~ + Phi dU, rows being the outputs at k+1 .. k+Np."""
-    a, b, row = augmented(model, speed)
-    free, phi = np.empty((Np, model.n + 1)), np.zeros((Np, Nc))
+    """Eq. (10): F (Np, n+1) and Phi (Np, Nc) with Y = F x~ + Phi dU, rows being the outputs at k+1 .. k+Np.
+
+    By eq. (9), whose state x~ (n+1,) is the change of x, and y.
+    """
+    a, b, c = model.discrete(speed)
+    a, b = np.block([[a, np.zeros((model.n, 1))], [c @ a, np.eye(1)]]), np.vstack([b, c @ b])
+    row, free, response = np.eye(model.n + 1)[-1:], np.empty((Np, model.n + 1)), np.empty(Np)
     for i in range(Np):
-        response = (row @ b).item()  # C~ A~^i B~
-        for j in range(min(Nc, Np - i)):
-            phi[i + j, j] = response
+        response[i] = (row @ b).item()  # C~ A~^i B~
         row = row @ a
         free[i] = row
-    return free, phi
+    return free, toeplitz(response, np.zeros(Nc))
 
 
 def cost(reference: Array, outputs: Array, moves: Array, Q: float, R: float) -> float:
@@ -65,11 +57,8 @@ def limit_matrix(Nc: int) -> Array:
 
     Four rows a sample: the move, its negative, the angle (the sum of moves so far), its negative.
     """
-    rows = np.zeros((4 * Nc, Nc))
-    for i in range(Nc):
-        rows[4 * i, i], rows[4 * i + 1, i] = 1.0, -1.0
-        rows[4 * i + 2, : i + 1], rows[4 * i + 3, : i + 1] = 1.0, -1.0
-    return rows
+    move, angle = np.eye(Nc), np.tri(Nc)
+    return np.stack([move, -move, angle, -angle], axis=1).reshape(4 * Nc, Nc)
 
 
 def limit_bounds(Nc: int, angle: float, limits: Any) -> Array:

@@ -174,8 +174,7 @@ class _PathTracking:
         self.task = Task(**task, driver=RequestedForces()) if acceleration else Task(**task)
         vehicle, plant, profile = self.task.base_car()
         _, period, belief = world_and_belief(vehicle, profile, None)
-        steering = belief.bounds(period).angle
-        actions, columns = [steering], [*OBSERVATION_BOUNDS.items()]
+        actions, columns = [belief.bounds(period).angle], [*OBSERVATION_BOUNDS.items()]
         for signal, bounds in PREVIEW_BOUNDS.items():
             columns += [(f"{signal}_{distance:g}m", bounds) for distance in self.distances]
         if acceleration:
