@@ -124,7 +124,7 @@ def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: Array
     InvalidInput
         When the weights are further apart than float64 can tell.
     """
-    n, (Q, P), K = B.shape[-1], np.zeros((2, *A.shape)), np.empty(B.shape)
+    n, Q, P, K = B.shape[-1], np.zeros(A.shape), np.empty(A.shape), np.empty(B.shape)
     Q[..., 1, 1], Q[..., -1, -1] = q_heading, q_e
     work = np.empty(7 * n * n)
     with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
