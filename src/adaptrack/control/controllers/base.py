@@ -466,9 +466,9 @@ class CompiledController(Controller):
         place, line, speeds = (0.0, -1, _NO_SPEEDS) if curved is None else (curved.station, 0, curved.speeds)
         roads = stacked(None if curved is None else curved.road)
         step_law(0, speed, self._angle, place, line, measured, ahead, speeds, roads, self._resident)
-        self._angle, move, held, *values = self._part.answer[0].tolist()
+        self._angle, move, is_held, *values = self._part.answer[0].tolist()
         diagnostics = dict(zip(self.diagnostic_names, values, strict=True))
-        return Command(self._angle, move, held > 0.5, tuple(self.tuning.values()), diagnostics)
+        return Command(self._angle, move, is_held > 0.5, tuple(self.tuning.values()), diagnostics)
 
     def __repr__(self) -> str:
         car = getattr(getattr(self, "vehicle", None), "name", "a car")
