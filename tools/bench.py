@@ -33,7 +33,7 @@ import adaptrack as at
 from adaptrack.cars.plant import DualTrack, Plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, Controller, MPCCommand, Tuning, published_mpc
-from adaptrack.control.models import SingleTrackModel, limit_bounds, limit_matrix
+from adaptrack.control.models import SingleTrackModel
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.library import kernels_hash
@@ -60,7 +60,8 @@ class PlainController(Controller):
     def __init__(self, vehicle: Vehicle, tuning: Tuning, period: float = 0.1) -> None:
         self.mpc = published_mpc(vehicle, tuning, period=period)  # for its limits and speed floor only
         self.vehicle, self.tuning, self.period = vehicle, tuning, period
-        self.rows = limit_matrix(tuning.Nc)
+        move, angle = np.eye(tuning.Nc), np.tri(tuning.Nc)
+        self.rows = np.vstack([move, -move, angle, -angle])
         self.reset()
 
     def reset(self) -> None:
@@ -104,7 +105,8 @@ class PlainController(Controller):
         error = np.full(Np, reference[0]) - free @ np.append(change, x[3])
         hessian = 2 * (q * phi.T @ phi + r * np.eye(Nc))
         gradient = -2 * q * phi.T @ error
-        bounds = limit_bounds(Nc, self.angle, self.mpc.limits)
+        (low, high), (least, most) = self.mpc.limits.move, self.mpc.limits.angle
+        bounds = np.repeat([high, -low, most - self.angle, self.angle - least], Nc)
         lower = np.full(bounds.size, -1e30)
         solution, _, flag, _ = daqp.solve(
             hessian, gradient, self.rows, bounds, lower, np.zeros(bounds.size, dtype=ctypes.c_int)

@@ -44,7 +44,7 @@ class KnownCar:
         InvalidInput
             For arguments that describe no car.
         """
-        world, control_period, said = world_and_belief(where, vehicle, profile, belief, period, computation)
+        world, control_period, said = world_and_belief(vehicle, profile, belief, period, computation)
         if not 0.0 < real(where, "friction", friction) < math.inf:
             raise InvalidInput(f"{where}: friction = {friction!r}: must be positive and finite.")
         known = tyre if isinstance(tyre, Tyre) else load_tyre(vehicle.tyre if tyre is None else tyre)

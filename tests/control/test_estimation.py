@@ -108,7 +108,7 @@ def state(**values):
 # -- the model --------------------------------------------------------------------------------------------------------
 def test_the_filter_believes_in_the_single_track_plant(rng):
     plant = SingleTrack(CAR, "passenger-car")
-    p = FrictionWindEstimator.of(plant).packed()
+    p = FrictionWindEstimator.of(plant)._packed
     for _ in range(20):
         vy, r, yaw, friction, wind = rng.uniform((-2, -0.8, -1, 0.3, -30), (2, 0.8, 1, 1, 30))
         vx = rng.uniform(2.0, 30.0)
@@ -121,7 +121,7 @@ def test_the_filter_believes_in_the_single_track_plant(rng):
 
 @pytest.mark.parametrize("tyre", ["passenger-car", "constant-stiffness"])
 def test_its_derivatives_are_those_of_its_accelerations(tyre, rng):
-    p = FrictionWindEstimator.of(DualTrack(CAR, tyre)).packed()
+    p = FrictionWindEstimator.of(DualTrack(CAR, tyre))._packed
     for _ in range(20):
         z, slopes, spare = np.zeros(8), np.zeros((2, 8)), np.zeros((2, 8))
         z[: kernel.N] = rng.uniform((-1, -0.5, math.log(0.3), -30, -0.1), (1, 0.5, 0.0, 30, 0.1))
@@ -152,7 +152,7 @@ def test_the_replica_turns_the_wheels_as_the_actuator_does():
 
     trajectory, _ = drive(road(5.0, duration=4.0), Watched(jerky), SILENT_ROAD, estimator=estimator)
     assert np.abs(np.array(angles) - trajectory.steering).max() < 2e-3
-    c = unpack(estimator.packed())
+    c = unpack(estimator._packed)
     assert kernel.steered(0.0, 0.4, 0.3, c) == pytest.approx(0.15)  # at the rate limit
     assert kernel.steered(0.0, 0.05, 0.3, c) == pytest.approx(0.05 * (1.0 - math.exp(-2.0)))  # below it
     assert kernel.steered(0.0, 2.0, 50.0, c) == pytest.approx(math.pi / 6)

@@ -34,6 +34,7 @@ from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import World
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scenario.profile import list_profiles, load_profile
+from references import dense_mpc as dense
 from textbook_filter import TextbookFilter
 
 pytestmark = pytest.mark.kernels
@@ -373,7 +374,7 @@ def test_the_qp_predicts_what_the_model_does_from_the_estimate(dead_time, rng):
             ahead = a @ ahead + b[:, 0] * command + d
             expected = np.interp(j + 1 + dead_time / PERIOD, np.arange(40), reference)
             error[j] = expected - (c @ ahead).item()
-        _, phi = model.prediction(speed, 12, 4)
+        _, phi = dense.prediction(model, speed, 12, 4)
         np.testing.assert_allclose(qp.K, -2.0 * 2.0 * phi.T @ error, rtol=1e-9, atol=1e-9)
 
 

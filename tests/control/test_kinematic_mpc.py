@@ -10,12 +10,13 @@ from scipy.signal import butter, lfilter
 
 import adaptrack as at
 from adaptrack.cars.vehicle import Steering
-from adaptrack.control.controllers.kinematic_mpc import AUTOWARE_WEIGHTS, KinematicMPC, kinematic_model
+from adaptrack.control.controllers.kinematic_mpc import AUTOWARE_WEIGHTS, KinematicMPC
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.core.controllers.contract import planned_speed
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.road_ahead import RoadAhead, straight
 from references.daqp import Daqp
+from references.dense_mpc import kinematic_model, kinematic_problem
 from references.kinematic_mpc import cost, derivatives
 
 pytestmark = pytest.mark.kernels
@@ -48,7 +49,7 @@ def test_the_dense_problem_is_the_cost_of_a_simulation(weights, rng):
     controller = make_controller(stages=5, step=0.1, **weights)
     state, last = np.array([0.4, -0.03, 0.05]), (0.02, -0.01)
     road = rng.uniform(5.0, 15.0, 5), rng.uniform(-0.03, 0.03, 5)
-    problem = controller.problem(state, *road, last)
+    problem = kinematic_problem(controller, state, *road, last)
     E, K = derivatives(
         lambda u: cost(u, state, road, (0.1, 0.05), (CAR.wheelbase, 0.2), {**AUTOWARE_WEIGHTS, **weights}, last), 5
     )
@@ -58,7 +59,7 @@ def test_the_dense_problem_is_the_cost_of_a_simulation(weights, rng):
 
 def test_the_limits_of_the_dense_problem_are_those_of_angle_and_rate(rng):
     controller = make_controller(stages=5, step=0.1, limits=TIGHT)
-    problem = controller.problem([0.0, 0.0, 0.0], np.full(5, 10.0), np.zeros(5), (0.01, 0.0))
+    problem = kinematic_problem(controller, [0.0, 0.0, 0.0], np.full(5, 10.0), np.zeros(5), (0.01, 0.0))
     for _ in range(200):
         u = rng.uniform(-0.08, 0.08, 5) * rng.choice([0.2, 1.0])
         changes = np.diff(np.concatenate([[0.01], u]))
@@ -93,7 +94,7 @@ def test_the_law_applies_the_first_input_of_the_dense_problem(limits, profile, r
         yaw, y = rng.normal(0.0, (0.03, 0.2))
         start = y - CAR.lr * math.sin(yaw), yaw
         state = roll_through_dead_time(controller, start, commands, lambda begin, end: (speed, 0.0))
-        problem = controller.problem(state, np.full(n, speed), np.zeros(n), (commands[-1], commands[-2]))
+        problem = kinematic_problem(controller, state, np.full(n, speed), np.zeros(n), (commands[-1], commands[-2]))
         expected = Daqp().solve(problem)
         answer = controller.step([0.0, yaw, 0.0, y], speed, np.zeros(100))
         assert answer.diagnostics["qp_status"] == 0
@@ -120,7 +121,7 @@ def test_on_a_bend_every_stage_has_its_own_curvature_and_planned_speed():
     state = roll_through_dead_time(controller, (pose[1] - CAR.lr * math.sin(theta), theta), [0.0] * 6, along)
     stages = [at_time(controller.belief.delay + 0.1 * i) for i in range(30)]
     places = place[0] + 0.1 * np.concatenate([[0.0], np.cumsum(stages)[:-1]])
-    problem = controller.problem(state, np.array(stages), np.array([curvature(s) for s in places]))
+    problem = kinematic_problem(controller, state, np.array(stages), np.array([curvature(s) for s in places]))
     expected = np.linalg.solve(problem.E, -problem.K)
     ahead = RoadAhead(BENDING, station, speeds)
     answer = controller.step([0.0, pose[0], 0.0, pose[1]], speed, np.zeros(100), road=ahead)

@@ -14,13 +14,12 @@ from adaptrack.control.models import (
     SingleTrackModel,
     check_model,
     get_model,
-    limit_bounds,
-    limit_matrix,
     list_models,
     register_model,
 )
 from adaptrack.core.controllers import condensing
 from adaptrack.core.models import single_track as kernel
+from references import dense_mpc as dense
 from references import mpc as reference
 
 pytestmark = pytest.mark.kernels
@@ -89,7 +88,7 @@ def test_zero_order_hold_equals_the_matrix_exponential():
 def test_F_and_Phi_equal_the_simulated_model(rng):
     for (car, speed), (Np, Nc) in itertools.product(GRID, [(1, 1), (5, 5), (20, 3), (35, 8), (60, 20)]):
         model = SingleTrackModel(car)
-        free, phi = model.prediction(speed, Np, Nc)
+        free, phi = dense.prediction(model, speed, Np, Nc)
         before, current, moves = rng.normal(size=4), rng.normal(size=4), np.zeros(Np)
         moves[:Nc] = rng.normal(size=Nc)
         simulated = reference.outputs(car, speed, model.period, before, current, moves)
@@ -99,7 +98,7 @@ def test_F_and_Phi_equal_the_simulated_model(rng):
 def test_the_compiled_responses_are_F_and_Phi():
     Np = 55
     for car, speed in GRID:
-        free, phi = SingleTrackModel(car).prediction(speed, Np, Np)
+        free, phi = dense.prediction(SingleTrackModel(car), speed, Np, Np)
         compiled_free, step = compiled(SingleTrackModel(car), speed, Np)
         close(compiled_free, free[:, :4], 1e-12)
         close(step, phi[:, 0], 1e-12)
@@ -114,11 +113,11 @@ def test_the_compiled_responses_are_F_and_Phi():
 def test_the_quadratic_form_is_the_cost_up_to_a_constant(car, rng):
     model, Np, Nc, Q, R = SingleTrackModel(car), 25, 6, 3.0, 0.4
     x, reference_ahead = rng.normal(size=5), rng.normal(size=Np)
-    E, K = model.quadratic(12.0, x, reference_ahead, Np, Nc, Q, R)
-    free, phi = model.prediction(12.0, Np, Nc)
+    E, K = dense.quadratic(model, 12.0, x, reference_ahead, Np, Nc, Q, R)
+    free, phi = dense.prediction(model, 12.0, Np, Nc)
 
     def cost(moves):
-        return model.cost(reference_ahead, free @ x + phi @ moves, moves, Q, R)
+        return dense.cost(reference_ahead, free @ x + phi @ moves, moves, Q, R)
 
     for moves in rng.normal(size=(10, Nc)):
         assert 0.5 * moves @ E @ moves + moves @ K + cost(np.zeros(Nc)) == pytest.approx(cost(moves), rel=1e-12)
@@ -134,14 +133,14 @@ def test_the_compiled_cost_is_that_of_eq_17(car, rng):
         Nc = int(rng.integers(1, min(Np, 20) + 1))
         speed, Q, R = rng.uniform(0.5, 60), 10 ** rng.uniform(-1, 2), 10 ** rng.uniform(-3, 1)
         x, ahead = rng.normal(size=5), rng.normal(size=Np)
-        E, K = model.quadratic(speed, x, ahead, Np, Nc, Q, R)
+        E, K = dense.quadratic(model, speed, x, ahead, Np, Nc, Q, R)
         free, step = compiled(model, speed, Np)
         error, hessian, gradient = np.full(STRIDE + 24, np.nan), np.zeros((20, 24)), np.zeros(24)
         rows = np.ascontiguousarray([padded(column) for column in free.T])
         condensing.tracking_error(Np, rows, x[:4].copy(), x[4], padded(ahead), error)
         condensing.pulse_hessian(Np, Nc, padded(step), Q, R, hessian)
         condensing.pulse_gradient(Np, Nc, padded(step), Q, error, gradient)
-        close(error[:Np], ahead - model.prediction(speed, Np, Nc)[0] @ x, 1e-11)
+        close(error[:Np], ahead - dense.prediction(model, speed, Np, Nc)[0] @ x, 1e-11)
         close(hessian[:Nc, :Nc], E, 1e-11)
         close(gradient[:Nc], K, 1e-10)
 
@@ -172,8 +171,8 @@ def test_the_laguerre_cost_is_the_pulse_cost_projected(car, pole, rng):
     condensing.laguerre_response(Np, terms, padded(step), moves, phi)
     condensing.condensed_hessian(Np, terms, phi, Q, R, hessian)
     condensing.condensed_gradient(Np, terms, phi, Q, padded(ahead), gradient)
-    E, K = model.quadratic(speed, np.zeros(5), ahead, Np, Np, Q, 0.0)
-    close(phi[:, :Np].T, model.prediction(speed, Np, Np)[1] @ basis, 1e-12)
+    E, K = dense.quadratic(model, speed, np.zeros(5), ahead, Np, Np, Q, 0.0)
+    close(phi[:, :Np].T, dense.prediction(model, speed, Np, Np)[1] @ basis, 1e-12)
     close(hessian[:, :terms], basis.T @ E @ basis + 2 * R * np.eye(terms), 1e-12)
     close(gradient[:terms], basis.T @ K, 1e-12)
 
@@ -185,7 +184,7 @@ def test_limit_rows_bound_each_move_and_each_angle(rng):
         angle = (-0.4, 0.5)
 
     Nc, angle = 6, 0.15
-    M, gamma = limit_matrix(Nc), limit_bounds(Nc, angle, Limits)
+    M, gamma = dense.limit_matrix(Nc), dense.limit_bounds(Nc, angle, Limits)
     assert M.shape == (4 * Nc, Nc)
     assert gamma.shape == (4 * Nc,)
     for moves in rng.uniform(-0.25, 0.25, (300, Nc)):
@@ -198,14 +197,11 @@ def test_limit_rows_bound_each_move_and_each_angle(rng):
 def test_what_makes_no_model_is_refused():
     model = SingleTrackModel(CARS["paper"])
     for value in (0.0, -3.0, math.nan, math.inf):
-        for method in (model.continuous, model.discrete, model.augmented):
+        for method in (model.continuous, model.discrete):
             with pytest.raises(InvalidInput, match="speed = "):
                 method(value)
         with pytest.raises(InvalidInput, match="period = "):
             SingleTrackModel(CARS["paper"], value)
-    for Np, Nc in [(0, 0), (5, 6), (5, 0), (-1, -1)]:
-        with pytest.raises(InvalidInput, match="1 <= Nc <= Np"):
-            model.prediction(10.0, Np, Nc)
 
 
 # -- names ------------------------------------------------------------------------------------------------------------

@@ -10,10 +10,11 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
-from adaptrack.control.models import SingleTrackModel, limit_bounds, limit_matrix
+from adaptrack.control.models import SingleTrackModel
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.controllers import mpc as kernel
+from references import dense_mpc as dense
 from references import mpc as reference
 
 pytestmark = pytest.mark.kernels
@@ -83,11 +84,13 @@ def test_the_qp_is_that_of_eq_17(period, rng):
         mpc.reset()
         mpc.step(before, speed, [0.3])
         qp = mpc.problem(current, speed, [1.2])
-        E, K = model.quadratic(speed, np.append(current - before, current[3]), np.full(35, 1.2), 35, 8, 10.0, 0.01)
+        E, K = dense.quadratic(
+            model, speed, np.append(current - before, current[3]), np.full(35, 1.2), 35, 8, 10.0, 0.01
+        )
         np.testing.assert_allclose(qp.E, E, rtol=1e-10)
         np.testing.assert_allclose(qp.K, K, rtol=1e-9, atol=1e-9 * np.abs(K).max())
-        assert np.array_equal(qp.M, limit_matrix(8))
-        np.testing.assert_allclose(qp.gamma, limit_bounds(8, mpc.angle, mpc.limits), rtol=1e-14)
+        assert np.array_equal(qp.M, dense.limit_matrix(8))
+        np.testing.assert_allclose(qp.gamma, dense.limit_bounds(8, mpc.angle, mpc.limits), rtol=1e-14)
 
 
 def test_the_model_speed_has_a_floor():

@@ -149,7 +149,7 @@ def test_a_situation_that_is_not_finite_leaves_the_plan_as_it_is():
     step = controller.step([0.0, math.nan, 0.0, 0.5], 10.0, np.zeros(40))
     assert step.held
     assert step.move == 0.0
-    assert np.isfinite(controller._memory).all()
+    assert np.isfinite(controller.own_part.law.memory).all()
 
 
 @pytest.mark.parametrize(

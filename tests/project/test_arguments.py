@@ -175,7 +175,7 @@ BOUNDS = {
     "FrictionWindEstimator": "period noise_vy noise_yaw_rate noise_acceleration (0, inf)",
     "KalmanFilter": "bound settling distrust trust window[0] window[1] friction (0, inf); oldest [0, 2];"
     "spread[0] spread[1] patience [0, inf); shape_factor (1, 2); longest [0, 5]",
-    "KinematicMPC": "stages [1, 100]; step (0, inf)",
+    "KinematicMPC": "stages [1, 100]; step period (0, inf); computation [0, 1]",
     "KnownWithin": "mass yaw_inertia stiffness_front stiffness_rear load_transfer_time frontal_area air_density"
     " drag_coefficient side_force_slope yaw_moment_slope wind_angle_limit rolling_resistance engine_power"
     " traction_limit brake_limit steering_rate steering_limit steering_ratio [1, 10];"
@@ -190,6 +190,7 @@ BOUNDS = {
     "Moves": "pole [0, 1); terms [1, 200]",
     "PathModel": "period (0, inf); lag dead_time [0, inf)",
     "Perception": "noise delay nominal_friction seed [0, inf); friction (0, inf)",
+    "PreviewLQR": "period (0, inf); computation [0, 1]",
     "Profile": "period (0, 10]; noise_speed [0, 1]; missing [0, 1); dropout_least dropout_most [0, 60];"
     "delay noise_vy noise_yaw noise_yaw_rate noise_y noise_wheel_angle noise_lateral_acceleration bias_yaw_rate"
     " bias_wheel_angle dropout_pause move_weight [0, inf); speed_resolution speed_dead_zone [0, 5];"
@@ -209,9 +210,11 @@ BOUNDS = {
     "SteeringTest": "angle [0.02, 0.15]",
     "Tracker": "furthest (0, inf)",
     "Trajectory": "period (0, inf)",
+    "Tuning": "Np [1, 1000]; Nc [1, 200]; Q [0, inf); R (0, inf)",
     "Tyre": "stiffness_front stiffness_rear (0, 1e7]; nominal_load (0, 1e6]; digressive_load_ratio (0, 100];"
     "shape [0.5, 2]; curvature [-20, 1]; friction_load_sensitivity [0, 1]; relaxation_length [0, 10]",
     "Uncertainty": "lag dead_time [0, 1]; stiffness [1, 4]; mass [0, 0.9]",
+    "UserController": "memory_size [0, inf)",
     "UserModel": "period (0, inf)",
     "UserPlant": "mass longest_step engine_power traction_limit brake_limit (0, inf); steps [1, inf)",
     "Vehicle": "mass (0, 1e5]; yaw_inertia stiffness_front stiffness_rear engine_power (0, 1e7]; lf lr (0, 20];"
@@ -252,16 +255,15 @@ def stop(*_):
 
 IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
     "KinematicMPC": (lambda **options: at.KinematicMPC(CAR, **options),
-                     "cutoff [0, inf); period (0, inf); computation [0, 1]"),
+                     "cutoff [0, inf)"),
     "LQR": (lambda **options: at.LQR(CAR, **options), "preview_time [0, inf); period (0, inf)"),
     "PreviewLQR": (lambda **options: at.PreviewLQR(CAR, **options),
-                   "q_e q_heading r period (0, inf); ahead (-inf, 10]; computation [0, 1]"),
+                   "q_e q_heading r (0, inf); ahead (-inf, 10]"),
     "PurePursuit": (lambda **options: at.PurePursuit(CAR, **options), "period (0, inf)"),
     "Reading": (at.Reading, "steering_ratio [0.1, 100]"),
     "RoadDrive": (lambda speed: at.RoadDrive(ROAD, speed), "speed (0, 100]"),
     "Stanley": (lambda **options: at.Stanley(CAR, **options),
                 "gain softening yaw_rate_gain dead_time [0, inf); period (0, inf)"),
-    "Tuning": (at.Tuning, "Np [1, 1000]; Nc [1, 200]; Q [0, inf); R (0, inf)"),
     "UserController": (lambda **options: at.UserController(steer_straight, **options), "period (0, inf)"),
     "check_estimator": (lambda speed: at.check_estimator(at.KalmanFilter(), at.PathModel(CAR, 0.1), speed=speed),
                         "speed (0, inf)"),
@@ -274,7 +276,7 @@ IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
 
 UNBOUNDED = {
     "KinematicMPC": {"weights"}, "RoadAhead": {"station"}, "RoadDrive": {"reference"}, "Trajectory": {"failed_at"},
-    "UserController": {"memory_size"}, "UserEstimator": {"memory_size"}, "export_c": {"furthest"},
+    "UserEstimator": {"memory_size"}, "export_c": {"furthest"},
     "export_page": {"speed", "lateral_acceleration", "seed"},
 }  # fmt: skip
 """Numbers in signatures of public calls that have no interval, or one that depends on other arguments."""

@@ -6,9 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.models import SingleTrackModel
 from adaptrack.control.qp import QP
+from references.dense_mpc import prediction
+from references.mpc import laguerre
 
 Array = npt.NDArray[np.float64]
 
@@ -50,17 +53,12 @@ def drawn_mpc_problem(rng: np.random.Generator) -> tuple[Array, Array, Array, Ar
     horizon = int(rng.integers(1, 56))
     moves = int(rng.integers(1, min(horizon, 18) + 1))
     q, r = 10.0 ** rng.uniform(-1.0, 1.0), 10.0 ** rng.uniform(-3.0, -1.0)
-    response, free = _prediction(speed, period, horizon)
-    phi = np.zeros((horizon, moves))
-    for j in range(moves):
-        phi[j:, j] = response[: horizon - j]
+    free, lower = prediction(SingleTrackModel(load_vehicle("paper"), period), speed, horizon, horizon)
+    phi = lower[:, :moves]
     samples = np.eye(moves)  # the moves in terms of the variables
     if rng.random() < 0.3:  # Laguerre: N coefficients stand for the moves of the whole horizon
         terms = int(rng.integers(1, min(horizon, 10) + 1))
-        functions = _laguerre(float(rng.choice([0.75, 0.95])), terms, horizon)
-        lower = np.zeros((horizon, horizon))
-        for j in range(horizon):
-            lower[j:, j] = response[: horizon - j]
+        functions = laguerre(horizon, terms, float(rng.choice([0.75, 0.95])))
         phi, samples = lower @ functions, functions[:moves]
     n = phi.shape[1]
 
@@ -83,43 +81,6 @@ def drawn_mpc_problem(rng: np.random.Generator) -> tuple[Array, Array, Array, Ar
         y = free @ state
         gamma = np.concatenate([gamma, width - y, width + y])
     return (E + E.T) / 2.0, K, M, gamma
-
-
-def _prediction(speed: float, period: float, horizon: int) -> tuple[Array, Array]:
-    """Step response of y to one move, and F of eq. (10), for the paper's car and the augmented model (9)."""
-    mass, inertia, lf, lr, cf, cr = 1575.0, 2875.0, 1.2, 1.6, 19e3, 33e3
-    a, b = np.zeros((5, 5)), np.zeros(5)
-    a[0] = [-2 * (cf + cr) / (mass * speed), 0, -speed - 2 * (cf * lf - cr * lr) / (mass * speed), 0, 2 * cf / mass]
-    a[1, 2] = 1.0
-    a[2] = [-2 * (cf * lf - cr * lr) / (inertia * speed), 0, -2 * (cf * lf**2 + cr * lr**2) / (inertia * speed), 0,
-            2 * cf * lf / inertia]  # fmt: skip
-    a[3, :2] = 1.0, speed
-    transition = expm(a * period)
-    a4, b4 = transition[:4, :4], transition[:4, 4]
-    augmented = np.zeros((5, 5))
-    augmented[:4, :4], augmented[4, :4], augmented[4, 4] = a4, a4[3], 1.0
-    b = np.append(b4, b4[3])
-    response, free, row = np.zeros(horizon), np.zeros((horizon, 5)), np.eye(5)[4]
-    for i in range(horizon):
-        response[i] = row @ b
-        row = row @ augmented
-        free[i] = row
-    return response, free
-
-
-def _laguerre(pole: float, terms: int, samples: int) -> Array:
-    """Discrete Laguerre functions, one column each."""
-    beta = 1.0 - pole * pole
-    step = np.eye(terms) * pole
-    for i in range(terms):
-        for j in range(i):
-            step[i, j] = beta * (-pole) ** (i - j - 1)
-    value = np.sqrt(beta) * (-pole) ** np.arange(terms)
-    result = np.zeros((samples, terms))
-    for k in range(samples):
-        result[k] = value
-        value = step @ value
-    return result
 
 
 def drawn_problem(rng: np.random.Generator, n: int, m: int) -> tuple[Array, Array, Array, Array]:

@@ -600,13 +600,13 @@ def load_tyre(name_or_path: str | os.PathLike[str]) -> Tyre:
     return files.build(Tyre, {"name": path.stem, **files.read_toml(path)}, path)
 
 
-def list_data(folder: str) -> list[str]:
-    """The names of the shipped TOML files of one folder (vehicles, tyres, profiles), sorted."""
-    return sorted(path.stem for path in (files.SHIPPED / folder).glob("*.toml"))
+def list_data(folder: str, ending: str = ".toml") -> list[str]:
+    """The names of the shipped files of one folder (vehicles, tyres, profiles, ...), sorted."""
+    return sorted(path.stem for path in (files.SHIPPED / folder).glob(f"*{ending}"))
 
 
-def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
-    """The TOML file that a name (of a shipped one in the folder) or a path means.
+def find_data(folder: str, name_or_path: str | os.PathLike[str], ending: str = ".toml") -> Path:
+    """The file that a name (of a shipped one in the folder) or a path means.
 
     Raises
     ------
@@ -615,17 +615,17 @@ def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
     InvalidInput
         For what is neither text nor a path.
     """
-    if isinstance(name_or_path, os.PathLike) or is_path(name_or_path):
+    if isinstance(name_or_path, os.PathLike) or is_path(name_or_path, ending):
         return Path(name_or_path)
     if not isinstance(name_or_path, str):
         raise InvalidInput(f"a {folder[:-1]} is given by its name or by the path of its file, not by {name_or_path!r}.")
-    names = list_data(folder)
+    names = list_data(folder, ending)
     if name_or_path not in names:
         hint = did_you_mean(name_or_path, names)
-        raise UnknownName(f"no {folder[:-1]} is named {name_or_path!r}. {hint} A file is given by its .toml path.")
-    return files.SHIPPED / folder / f"{name_or_path}.toml"
+        raise UnknownName(f"no {folder[:-1]} is named {name_or_path!r}. {hint} A file is given by its {ending} path.")
+    return files.SHIPPED / folder / f"{name_or_path}{ending}"
 
 
-def is_path(text: Any) -> bool:
-    """Whether a text means a TOML file rather than a name: it ends in ``.toml`` or holds a directory."""
-    return str(text).endswith(".toml") or any(mark in str(text) for mark in (os.sep, os.altsep) if mark)
+def is_path(text: Any, ending: str = ".toml") -> bool:
+    """Whether a text means a file rather than a name: it has the ending or holds a directory."""
+    return str(text).endswith(ending) or any(mark in str(text) for mark in (os.sep, os.altsep) if mark)

@@ -319,10 +319,6 @@ class FrictionWindEstimator:
         numbers: Array = row.view(float)
         return numbers
 
-    def packed(self) -> Array:
-        """The vehicle as the kernel expects it (`core.models.car.PLANT_PARAMETERS`)."""
-        return self._packed.copy()
-
     def packed_for(self, slots: int) -> Any:
         """So many fresh estimators like this one, as `core.simulation.run.VariableEstimator`."""
         return VariableEstimator(self._packed, self._settings, friction_wind.Memory.new(slots))

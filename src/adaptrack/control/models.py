@@ -1,8 +1,4 @@
-"""The prediction models of the MPC, one equation of the paper per method.
-
-This is the readable form: matrices of NumPy, any horizons, nothing cached. The controller runs the compiled form in
-`core.models` and `core.controllers.condensing`; a test demands that both give the same QP.
-"""
+"""The prediction models of the MPC: names of their states, parameters, and functions, which are kernels or a user's."""
 
 from __future__ import annotations
 
@@ -13,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
@@ -47,8 +43,7 @@ class PredictionModel(ABC):
 
     u: steering command (rad); w: known input, curvature of the road times speed (rad/s), zero on a straight road. A
     model says its states by the measured quantities that they are (`MEASURED_STATES`); the output is the last one, y.
-    The
-    number of states is its own: nothing else knows it. `check_model` admits it.
+    The number of states is its own: nothing else knows it. `check_model` admits it.
     """
 
     @property
@@ -116,47 +111,6 @@ class PredictionModel(ABC):
         model = condensing.discrete(a, b[:, 0].copy(), c[0].copy())
         condensing.responses(horizon, of_next, model, free, step)
         return free, step
-
-    def augmented(self, speed: float) -> tuple[Array, Array, Array]:
-        """Eq. (9): A~ (n+1, n+1), B~ (n+1, 1), C~ (1, n+1) in x~ = [change of x, y], with the move as input."""
-        a, b, c = self.discrete(speed)
-        return (
-            np.block([[a, np.zeros((self.n, 1))], [product(c, a), np.eye(1)]]),
-            np.vstack([b, product(c, b)]),
-            np.hstack([np.zeros((1, self.n)), np.eye(1)]),
-        )
-
-    def prediction(self, speed: float, Np: int, Nc: int) -> tuple[Array, Array]:
-        """Eq. (10): F (Np, n+1) and Phi (Np, Nc) with Y = F x~ + Phi dU, rows being the outputs at k+1 .. k+Np."""
-        if not 1 <= Nc <= Np:
-            raise InvalidInput(f"Np = {Np}, Nc = {Nc}: need 1 <= Nc <= Np.")
-        a, b, c = self.augmented(speed)
-        free, phi = np.empty((Np, self.n + 1)), np.zeros((Np, Nc))
-        row = c
-        for i in range(Np):
-            response = product(row, b).item()  # C~ A~^i B~
-            for j in range(min(Nc, Np - i)):
-                phi[i + j, j] = response
-            row = product(row, a)
-            free[i] = row
-        return free, phi
-
-    def cost(self, reference: ArrayLike, outputs: ArrayLike, moves: ArrayLike, Q: float, R: float) -> float:
-        """Eq. (11): J = (R_s - Y)' Q (R_s - Y) + dU' R dU, with scalar weights."""
-        error = np.asarray(reference, float) - np.asarray(outputs, float)
-        change = np.asarray(moves, float)
-        return float(product(Q * error, error) + product(R * change, change))
-
-    def quadratic(
-        self, speed: float, x: ArrayLike, reference: ArrayLike, Np: int, Nc: int, Q: float, R: float
-    ) -> tuple[Array, Array]:
-        """Eq. (17) of the cost: E = 2(Phi' Q Phi + R) and K = -2 Phi' Q (R_s - F x~), shapes (n, n) and (n,).
-
-        x: x~ = [change of x (n), y], shape (n+1,); reference: R_s, shape (Np,); moves: the Nc pulses of eq. (10).
-        """
-        free, phi = self.prediction(speed, Np, Nc)
-        error = np.asarray(reference, float) - product(free, np.asarray(x, float))
-        return 2 * (product(Q * phi.T, phi) + R * np.eye(phi.shape[1])), product(-2 * Q * phi.T, error)
 
 
 @final
@@ -366,21 +320,3 @@ def laguerre_basis(Np: int, terms: int, pole: float) -> Array:
     rows = np.zeros((terms, Np))
     condensing.laguerre_moves(Np, terms, pole, rows)
     return rows.T.copy()
-
-
-def limit_matrix(Nc: int) -> Array:
-    """M of eq. (16) for limits on moves and angle, shape (4 Nc, Nc).
-
-    Four rows a sample: the move, its negative, the angle (the sum of moves so far), its negative.
-    """
-    rows = np.zeros((4 * Nc, Nc))
-    for i in range(Nc):
-        rows[4 * i, i], rows[4 * i + 1, i] = 1.0, -1.0
-        rows[4 * i + 2, : i + 1], rows[4 * i + 3, : i + 1] = 1.0, -1.0
-    return rows
-
-
-def limit_bounds(Nc: int, angle: float, limits: Any) -> Array:
-    """gamma of eq. (16) in the order of `limit_matrix`, shape (4 Nc,); angle: u(k-1) (rad); limits: a `Limits`."""
-    (low, high), (least, most) = limits.move, limits.angle
-    return np.tile([high, -low, most - angle, angle - least], Nc)

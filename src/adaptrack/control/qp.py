@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from adaptrack.base.checked import Count, NotNegative, checked, reals, whole_number
+from adaptrack.base.checked import Count, NotNegative, checked, reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.core.layout import aligned
 from adaptrack.core.maths import portable
@@ -446,11 +446,10 @@ class ActiveSet(QPSolver):
 
     name: ClassVar[str] = EXACT_SOLVER
 
-    def __init__(self, max_iterations: int | None = None) -> None:
+    @checked
+    def __init__(self, max_iterations: Count | None = None) -> None:
         super().__init__(on_uncertified="hold")
-        self.max_iterations = (
-            None if max_iterations is None else whole_number("ActiveSet", "max_iterations", max_iterations)
-        )
+        self.max_iterations = max_iterations
         self._workspace = Workspace()
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:

@@ -39,7 +39,7 @@ from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
-from adaptrack.core.tracker.signals import NO_BELIEF, TRACKER_SAMPLE
+from adaptrack.core.tracker.signals import NO_BELIEF, STATUS, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking, tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow
 from adaptrack.road import Road, SpeedPlan, Stop
@@ -60,29 +60,20 @@ class Status(StrEnum):
     """Kind of a step."""
 
     OK = "ok"
-    """a new position was used; a call between two instants has the status of the last one"""
     ESTIMATED = "estimated"
-    """no new position, or none to be believed: the command is that of the estimate"""
     HELD = "held"
-    """no position yet or for too long, or no solution: the command before is held; stop the car, or steer by hand"""
     STANDING = "standing"
-    """the car stands, its wheels stay at rest"""
     REVERSE = "reverse"
-    """the car drives backwards, which no controller here can: the wheels are left where they are"""
     OFF_PATH = "off-path"
-    """further from the path than `furthest`, or without a foot on it within 400 m of the last one (the offset is then
-    NaN): a command is given all the same; stop the car, or give another path"""
     END = "end"
-    """beyond the end of an open path: it goes on straight; stop the car, or give another path"""
     SLIDING = "sliding"
-    """the car slides or spins: its sideslip is beyond 8.5 degrees and more than a rolling turn has; a command is given
-    all the same, by a model that knows no sliding; slow down"""
     REPEATED = "repeated"
-    """a call at the time of the one before, or an earlier one: it is left out, the command is the same"""
 
 
 _STATUSES = tuple(Status)
-"""In the order of `core.tracker.signals.STATUS`."""
+"""In the order of `core.tracker.signals.STATUS`, which has their meanings."""
+_STATUS_LINES = (f"- `{status}`: {field.meaning}" for status, field in zip(_STATUSES, fields_of(STATUS), strict=False))
+Status.__doc__ = "\n".join(["Kind of a step.", "", *_STATUS_LINES])
 
 
 class Tracked(NamedTuple):
@@ -506,21 +497,10 @@ def input_check_of(controller: Any) -> InputCheck:
 
 def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
     """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`)."""
-    return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan), check.check)
-
-
-def packed_plan(plan: SpeedPlan | None) -> Any:
-    """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
-    both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
-    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
-
-
-def _settings(controller: Any, furthest: float) -> Any:
-    """A tracker's settings, see `core.tracker.records.TRACKER_SETTINGS`."""
     car, limits, period = controller.vehicle, controller.limits, float(controller.period)
     low, high = (-math.inf, math.inf) if limits is None else limits.angle
     has_car = car is not None
-    return records.TRACKER_SETTINGS.new(
+    settings = records.TRACKER_SETTINGS.new(
         period=period,
         angle_min=max(low, -MOST_WHEEL_ANGLE),
         angle_max=min(high, MOST_WHEEL_ANGLE),
@@ -534,6 +514,13 @@ def _settings(controller: Any, furthest: float) -> Any:
         nominal_friction=Perception().nominal_friction,
         first_top_speed=math.inf if controller.learner is None else controller.learner.first_top_speed,
     )
+    return records.tracker(settings, stacked(path), packed_plan(plan), check.check)
+
+
+def packed_plan(plan: SpeedPlan | None) -> Any:
+    """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
+    both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
+    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
 
 
 def tracking_of(

@@ -15,7 +15,7 @@ from adaptrack.base.checked import NotNegative, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
-from adaptrack.control.controllers.setup import LoopSetup
+from adaptrack.control.controllers.setup import world_and_belief
 from adaptrack.core.public import (
     EPISODE_RUNS,
     GRAVITY,
@@ -173,8 +173,8 @@ class _PathTracking:
         self._speed = speed if acceleration else None
         self.task = Task(**task, driver=RequestedForces()) if acceleration else Task(**task)
         vehicle, plant, profile = self.task.base_car()
-        steering = LoopSetup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle
-        actions, columns = [steering], [*OBSERVATION_BOUNDS.items()]
+        _, period, belief = world_and_belief(vehicle, profile, None)
+        actions, columns = [belief.bounds(period).angle], [*OBSERVATION_BOUNDS.items()]
         for signal, bounds in PREVIEW_BOUNDS.items():
             columns += [(f"{signal}_{distance:g}m", bounds) for distance in self.distances]
         if acceleration:

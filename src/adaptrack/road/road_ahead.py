@@ -36,8 +36,8 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
 
 
 @lru_cache(maxsize=16)
-def stacked(road: Road) -> Any:
-    """A road alone as `core.roads.road.Roads`."""
+def stacked(road: Road | None) -> Any:
+    """A road alone as `core.roads.road.Roads`; None: a straight one."""
     return pack_roads([road])
 
 

@@ -19,15 +19,16 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import PluginCall
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
-from adaptrack.core.controllers.law import law_controller
+from adaptrack.core.controllers.law import law_controller, step_law
 from adaptrack.core.controllers.part import COMMON_ANSWER, controller_part
 from adaptrack.core.estimators.learning import BELIEF_NAMES
-from adaptrack.core.kernel import row_of
+from adaptrack.core.kernel import Resident, row_of
 from adaptrack.core.member import CallBack
 from adaptrack.core.synthesis import laws
-from adaptrack.road.road_ahead import RoadAhead, straight
+from adaptrack.road.road_ahead import RoadAhead, stacked
 
 Array = NDArray[np.float64]
+_NO_SPEEDS = np.zeros(0)
 
 
 class Command(NamedTuple):
@@ -414,38 +415,25 @@ class CompiledController(Controller):
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """The tuning as finite numbers by name, none of them negative; see `Controller.check_tuning`."""
-        where = type(self).__name__
-        for name in self.positive:
-            if not 0.0 < real(where, name, tuning[name]) < math.inf:
-                raise InvalidInput(f"{where}: {name} = {tuning[name]!r}: must be finite and positive.")
         entries = super().check_tuning(tuning)
         for name, value in entries.items():
-            if value < 0.0:
-                raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
+            is_positive = name in self.positive
+            if value < 0.0 or (is_positive and value == 0.0):
+                must = "positive" if is_positive else "not negative"
+                raise InvalidInput(f"{type(self).__name__}: {name} = {value!r}: must be finite and {must}.")
         return entries
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
         return law_controller(slots, self, has_vy)
 
     def reset(self) -> None:
-        self._parameters = self.parameters()
-        self._tuning = self.packed_tuning()
-        self._memory = np.zeros(self.memory_size)
-        self._answer = np.zeros(1 + len(self.diagnostic_names))
-        self._angle = 0.0
-        self._own_part: Any = None
+        self._part, self._angle = self.part(1), 0.0
+        self._resident = Resident(self._part)
 
     @property
     def own_part(self) -> Any:
         """The controller itself as a part of compiled loops (`core.controllers.part`), its memory shared."""
-        if self._own_part is None:
-            part = self.part(1)
-            law = part.law._replace(memory=self._memory[None], answer=self._answer)
-            self._own_part = part._replace(law=law, tuning=self._tuning[None])
-        return self._own_part
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_own_part": None}  # a copy has memory of its own
+        return self._part
 
     @property
     def angle(self) -> float:
@@ -473,22 +461,14 @@ class CompiledController(Controller):
         InvalidInput
             When an argument is not made of numbers or has a wrong shape.
         """
-        situation = np.empty(6)
-        situation[:4] = vector("state", state, 4)
-        situation[4] = number("speed", speed)
-        situation[5] = self._angle
-        ahead = vector("reference", reference)
-        if not self.preview:
-            ahead = ahead[:1]
+        measured, speed, ahead = vector("state", state, 4), number("speed", speed), vector("reference", reference)
         curved = road_ahead(road)
-        path = straight() if curved is None else curved.packed
-        self.function(situation, ahead, path, self._tuning, self._parameters, self._memory, self._answer)
-        angle, *values = self._answer.tolist()
+        place, line, speeds = (0.0, -1, _NO_SPEEDS) if curved is None else (curved.station, 0, curved.speeds)
+        roads = stacked(None if curved is None else curved.road)
+        step_law(0, speed, self._angle, place, line, measured, ahead, speeds, roads, self._resident)
+        self._angle, move, is_held, *values = self._part.answer[0].tolist()
         diagnostics = dict(zip(self.diagnostic_names, values, strict=True))
-        is_held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
-        angle = angle if math.isfinite(angle) else self._angle
-        move, self._angle = angle - self._angle, angle
-        return Command(angle, move, is_held, tuple(self.tuning.values()), diagnostics)
+        return Command(self._angle, move, is_held > 0.5, tuple(self.tuning.values()), diagnostics)
 
     def __repr__(self) -> str:
         car = getattr(getattr(self, "vehicle", None), "name", "a car")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,11 +13,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.setup import LoopSetup
-from adaptrack.control.qp import QP
+from adaptrack.control.controllers.setup import ComputationArgument, PeriodArgument, world_and_belief
 from adaptrack.core.controllers import kinematic_mpc as kernel
-from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
 from adaptrack.scenario.profile import Profile
 
 AUTOWARE_WEIGHTS = {
@@ -81,20 +78,21 @@ class KinematicMPC(CompiledController):
         step: Annotated[Positive, "s"] = AUTOWARE_STAGE_LENGTH,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
-        computation: float | None = None,
-        period: float | None = None,
+        computation: ComputationArgument | None = None,
+        period: PeriodArgument | None = None,
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
         **weights: float,
     ) -> None:
         self.vehicle = vehicle
-        setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits, computation)
-        self.belief, self.pose_age = setup.belief, setup.pose_age
+        world, period, self.belief = world_and_belief(vehicle, profile, belief, period, computation)
+        self.pose_age = 0.0 if profile is None else world.pose_age
         self.stages, self.step_length = stages, step
         tuning = {**_all_weights(weights), "cutoff": cutoff}
-        behind = (self.pose_age + self.belief.delay) / setup.period
+        behind = (self.pose_age + self.belief.delay) / period
         self.memory_size = kernel.memory_size(self.stages, behind)
-        super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
+        preview = world.preview if preview is None else preview
+        super().__init__(tuning, period=period, limits=limits or self.belief.bounds(period), preview=preview)
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """See `Controller.check_tuning`; one of the weights of the steering must be positive."""
@@ -110,88 +108,9 @@ class KinematicMPC(CompiledController):
         head = (car.wheelbase, car.lr, belief.lag.value, belief.delay, self.pose_age, self.stages, self.step_length)
         return np.concatenate([head, kernel.limit_rows(self.stages).reshape(-1)])
 
-    def problem(
-        self, state: Sequence[float], speeds: Array, curvatures: Array, inputs: tuple[float, float] = (0.0, 0.0)
-    ) -> QP:
-        """The quadratic programme of a step, densely and slowly: what the compiled law solves.
-
-        state: [e (m), theta (rad), delta (rad)] at the end of the dead time; speeds (m/s), curvatures (1/m): of the
-        stages; inputs: those of the last two steps (rad), the latest first.
-        """
-        E, K = self._tracking(np.array(state, dtype=float), speeds, curvatures)
-        for rows, constant, weights in self._changes(np.asarray(speeds, dtype=float), *inputs):
-            E += product(rows.T, weights[:, None] * rows)
-            K += product(rows.T, weights * constant)
-        return QP((E + E.T) / 2.0, K, *self._rows(inputs[0]))
-
-    def _tracking(self, x: Array, speeds: Array, curvatures: Array) -> tuple[Array, Array]:
-        """Hessian and gradient of what errors and inputs cost."""
-        n, t = self.stages, self.tuning
-        into, E, K = np.zeros((3, n)), np.zeros((n, n)), np.zeros(n)  # into: what the inputs add to the state
-        car = self.vehicle.wheelbase, self.belief.lag.value
-        for i, (v, curvature) in enumerate(zip(speeds, curvatures, strict=True)):
-            A, B, w, steady = kinematic_model(*car, v, curvature, self.step_length, self.limits.angle)
-            x, into = product(A, x) + w, product(A, into)
-            into[:, i] += B
-            end = "terminal_" if i == n - 1 else ""
-            heading = t[f"{end}heading_error"] + t["heading_error_v2"] * (v * v)
-            Q = np.diag([t[f"{end}lateral_error"], heading, 0.0])
-            E += product(product(into.T, Q), into)
-            K += product(product(into.T, Q), x)
-            weight = t["steering"] + t["steering_v2"] * (v * v)
-            E[i, i] += weight
-            K[i] -= weight * steady
-        return E, K
-
-    def _changes(self, speeds: Array, before: float, earlier: float) -> list[tuple[Array, Array, Array]]:
-        """First and second differences of the inputs over time, D u + d, and their weights: D, d, weights."""
-        n, t, h = self.stages, self.tuning, self.step_length
-        durations = np.full(n, h)
-        durations[0] = self.period  # the first input comes a control period after the last one
-        rate, constant = (np.eye(n) - np.eye(n, k=-1)) / durations[:, None], np.zeros(n)
-        constant[0] = -before / self.period
-        bend = (rate - np.vstack([np.zeros(n), rate[:-1]])) / durations[:, None]
-        bent = (constant - np.concatenate([[(before - earlier) / self.period], constant[:-1]])) / durations
-        weights = np.full(n, t["steering_rate"])
-        weights[1:] += t["lateral_jerk"] * portable.square(speeds[:-1])
-        return [(rate, constant, weights), (bend, bent, np.full(n, t["steering_acceleration"]))]
-
-    def _rows(self, before: float) -> tuple[Array, Array]:
-        """M and gamma of the limits on the inputs and on their changes."""
-        n, (low, high) = self.stages, self.limits.angle
-        change, share, first = np.eye(n) - np.eye(n, k=-1), np.full(n, self.step_length / self.period), np.zeros(n)
-        share[0], first[0] = 1.0, before
-        least, most = (np.array(self.limits.move)[:, None] * share) + first
-        M = np.vstack([np.eye(n), -np.eye(n), change, -change])
-        return M, np.concatenate([np.full(n, high), np.full(n, -low), most, -least])
-
     def describe(self) -> dict[str, Any]:
         horizon = {"stages": self.stages, "step": self.step_length}
         return super().describe() | {"belief": str(self.belief), "pose_age": self.pose_age} | horizon
-
-
-def kinematic_model(
-    wheelbase: float, lag: float, speed: float, curvature: float, time: float, angles: tuple[float, float]
-) -> tuple[Array, Array, Array, float]:
-    """A (3, 3), B (3,), w (3,) of x' = A x + B u + w for x = [e, theta, delta], and delta_r (rad).
-
-    Over a time (s) with the input held, linearised about delta_r = atan(L kappa), within the angles (rad).
-    """
-    steady = float(np.clip(portable.atan(wheelbase * curvature), *angles))
-    slope = 1.0 / portable.square(portable.cos(steady))
-    block = np.zeros((5, 5))
-    block[0, 1] = speed
-    block[1, 2] = speed / wheelbase * slope
-    block[1, 4] = speed / wheelbase * (portable.tan(steady) - steady * slope) - speed * curvature
-    if lag > 0.0:
-        block[2, 2], block[2, 3] = -1.0 / lag, 1.0 / lag
-    else:  # the wheels are where the input is
-        block[1, 3], block[1, 2] = block[1, 2], 0.0
-    moved = portable.exponential_of(block * time)
-    A, B, w = moved[:3, :3], moved[:3, 3], moved[:3, 4]
-    if lag == 0.0:
-        A[2, 2], B[2] = 0.0, 1.0
-    return A, B, w, steady
 
 
 def _all_weights(weights: Mapping[str, float]) -> dict[str, float]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Hint, NotNegative, Positive, checked, real, whole_number
+from adaptrack.base.checked import Finite, Hint, Natural, NotNegative, Number, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
@@ -28,7 +26,7 @@ GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.
 """m/s, where gains are computed; between them they are interpolated over log v."""
 WEIGHT_FACTORS = portable.power(10.0, np.linspace(-laws.GAIN_DECADES, laws.GAIN_DECADES, laws.GAIN_WEIGHTS))
 """Of q_e/r and q_heading/r, about the controller's own: where gains are computed for weights that change."""
-_FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
+WEIGHTS_TOO_FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
 
 
 def steering_delay(vehicle: Vehicle) -> float:
@@ -133,7 +131,8 @@ class Stanley(CompiledController):
 class LQR(CompiledController):
     """Linear-quadratic regulator about the steady turn of the path, with curvature feed-forward.
 
-    With the lateral errors x = [e, v_y + v psi_e, psi_e, r - v kappa] of `error_model`, the steering is
+    With the lateral errors x = [e, v_y + v psi_e, psi_e, r - v kappa] (`core.synthesis.laws.lqr_error_model`), the
+    steering is
 
         delta = (L + K v^2) kappa - gain (x - x_ss),   x_ss = [0, 0, (m l_f v^2/(2 C_r L) - l_r) kappa, 0]
 
@@ -183,66 +182,13 @@ class LQR(CompiledController):
     def own_parameters(self) -> Array:
         return _parameters(self.vehicle, self.period, tuple(self.tuning[name] for name in ("q_e", "q_heading", "r")))
 
-    def gain_at(self, speed: float) -> Array:
-        """The feedback gain (4,) of the controller's own weights at a speed (m/s), not interpolated."""
-        A, B = sampled_error_model(self.vehicle, self.period, speed)
-        Q = np.diag([self.tuning["q_e"], 0.0, self.tuning["q_heading"], 0.0]) / self.tuning["r"]
-        return feedback(A, B, riccati(A, B, Q))
-
-
-def error_model(vehicle: Vehicle, speed: float) -> tuple[Array, Array]:
-    """A (4, 4) and B (4,) of dx/dt = A x + B delta, see `core.synthesis.laws.lqr_error_model`."""
-    A, B = np.zeros((4, 4)), np.zeros(4)
-    laws.lqr_error_model(vehicle.numbers, speed, A, B)
-    return A, B
-
-
-def sampled_error_model(vehicle: Vehicle, period: float, speed: float) -> tuple[Array, Array]:
-    """`error_model` over one period (s) with the steering held."""
-    A, B = np.zeros((4, 4)), np.zeros(4)
-    laws.sampled_error_model(vehicle.numbers, period, speed, A, B)
-    return A, B
-
-
-def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:
-    """P (..., n, n) of the Riccati equation of x' = A x + B u with the cost sum x'Q x + u^2.
-
-    A, Q (..., n, n), B (..., n), see `core.synthesis.laws.riccati`.
-
-    Raises
-    ------
-    InvalidInput
-        When the iteration does not converge: weights further apart than float64 can tell.
-    """
-    (a, b), q = _models(A, B), np.ascontiguousarray(Q, dtype=float)
-    n = b.shape[-1]
-    solution, work = np.empty(a.shape), np.empty(7 * n * n)
-    with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
-        for i in np.ndindex(b.shape[:-1]):
-            if laws.riccati(a[i], b[i], q[i], solution[i], work) == 0:
-                raise InvalidInput(_FAR_APART)
-    return solution
-
-
-def feedback(A: ArrayLike, B: ArrayLike, P: Array) -> Array:
-    """The gains (..., n), (1 + B'PB)^-1 B'PA."""
-    a, b = _models(A, B)
-    gains = np.empty(b.shape)
-    for i in np.ndindex(b.shape[:-1]):
-        laws.lqr_feedback(a[i], b[i], P[i], gains[i])
-    return gains
-
-
-def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
-    return np.ascontiguousarray(A, dtype=float), np.ascontiguousarray(B, dtype=float)
-
 
 @lru_cache(maxsize=64)
 def _parameters(vehicle: Vehicle, period: float, tuning: tuple[float, ...]) -> Array:
     """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
     parameters = np.zeros(laws.LQR_NUMBERS)
     if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), parameters) == 0:
-        raise InvalidInput(_FAR_APART)
+        raise InvalidInput(WEIGHTS_TOO_FAR_APART)
     return parameters[len(laws.Common._fields) :]
 
 
@@ -276,30 +222,23 @@ class UserController(CompiledController):
         law: MemberFunction,
         *,
         tuning: Mapping[str, float] | None = None,
-        parameters: Mapping[str, float] | None = None,
-        memory_size: int = 0,
+        parameters: Mapping[str, Finite] | None = None,
+        memory_size: Natural = 0,
         diagnostics: Sequence[str] = (),
-        bounds: Mapping[str, tuple[float, float]] | None = None,
+        bounds: Mapping[str, tuple[Number, Number]] | None = None,
         period: float = 0.1,
         limits: LimitsArgument | None = None,
         preview: bool = False,
         label: str = "user",
     ) -> None:
-        self.law, self.label = law, label
-        self.name = label
+        self.law, self.label, self.name = law, label, label
+        self.constants, self.memory_size = dict(parameters or {}), memory_size
         where = f"UserController {label!r}"
-        self.constants = {name: real(where, name, value) for name, value in (parameters or {}).items()}
-        faulty = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
-        if faulty:
-            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(faulty)}.")
-        self.memory_size = whole_number(where, "memory_size", memory_size, least=0)
         self.tuning_names, self.diagnostic_names = tuple(tuning or {}), tuple(diagnostics)
         if bounds and set(bounds) - set(self.tuning_names):
             raise InvalidInput(f"{where}: bounds of {', '.join(bounds)}: must be of {', '.join(self.tuning_names)}.")
         self.tuning_bounds = dict.fromkeys(self.tuning_names, TWO_DECADES)
-        self.tuning_bounds |= {
-            name: TuningBounds(float(ends[0]), float(ends[1])) for name, ends in (bounds or {}).items()
-        }
+        self.tuning_bounds |= {name: TuningBounds(*ends) for name, ends in (bounds or {}).items()}
         form = "law as f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays"
         self.function = compile_function(where, compile_law, law, form)
         super().__init__(tuning or {}, period=period, limits=limits, preview=preview)

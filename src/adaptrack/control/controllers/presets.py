@@ -67,22 +67,20 @@ def nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any
     InvalidInput
         When they were made for another car or profile.
     """
-    return published_mpc(vehicle, scheduler=_fitting("road-nn", published_mpc(vehicle, **options), profile), **options)
+    return _scheduled("road-nn", vehicle, profile, options)
 
 
 def anfis(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
     """The paper's controller with the fuzzy systems that ship for it; raises as `nn`."""
-    schedule = _fitting("road-anfis", published_mpc(vehicle, **options), profile)
-    return published_mpc(vehicle, scheduler=schedule, **options)
+    return _scheduled("road-anfis", vehicle, profile, options)
 
 
-def _fitting(name: str, mpc: MPC, profile: str | Profile | None) -> Any:
-    """A scheduler that ships; refused where it was made for something else."""
-    schedule = load_scheduler(name)
-    faults = mpc.mismatches(schedule, load_profile(profile or "road").name)
-    if faults:
+def _scheduled(name: str, vehicle: Vehicle, profile: str | Profile | None, options: dict[str, Any]) -> MPC:
+    """The paper's controller with a scheduler that ships; refused where that was made for something else."""
+    schedule, profile_name = load_scheduler(name), load_profile(profile or "road").name
+    if faults := published_mpc(vehicle, **options).mismatches(schedule, profile_name):
         raise InvalidInput(f"scheduler {name!r} {'; it '.join(faults)}")
-    return schedule
+    return published_mpc(vehicle, scheduler=schedule, **options)
 
 
 def published(vehicle: Vehicle, **options: Any) -> MPC:

@@ -13,13 +13,14 @@ from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
-from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
+from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, WEIGHTS_TOO_FAR_APART
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.setup import LoopSetup
+from adaptrack.control.controllers.setup import ComputationArgument, PeriodArgument, world_and_belief
 from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import preview_lqr as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
+from adaptrack.core.synthesis import laws
 from adaptrack.scenario.profile import Profile
 
 CURVATURE_PREVIEW = 3.0
@@ -66,22 +67,23 @@ class PreviewLQR(CompiledController):
         ahead: float = CURVATURE_PREVIEW,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
-        computation: float | None = None,
-        period: float | None = None,
+        computation: ComputationArgument | None = None,
+        period: PeriodArgument | None = None,
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
         self.vehicle = vehicle
-        setup = LoopSetup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits, computation)
-        self.belief, self.pose_age = setup.belief, setup.pose_age
-        if not setup.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
+        world, period, self.belief = world_and_belief(vehicle, profile, belief, period, computation)
+        self.pose_age = 0.0 if profile is None else world.pose_age
+        if not period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
-        self.previewed = round(ahead / setup.period)
-        self._model = PathModel(vehicle, setup.period, self.belief.lag.value)
-        behind = self.belief.delay / setup.period
+        self.previewed = round(ahead / period)
+        self._model = PathModel(vehicle, period, self.belief.lag.value)
+        behind = self.belief.delay / period
         self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
         tuning = {"q_e": q_e, "q_heading": q_heading, "r": r}
-        super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
+        preview = world.preview if preview is None else preview
+        super().__init__(tuning, period=period, limits=limits or self.belief.bounds(period), preview=preview)
 
     def own_parameters(self) -> Array:
         car, t, belief = self.vehicle, self.tuning, self.belief
@@ -94,16 +96,6 @@ class PreviewLQR(CompiledController):
         )  # fmt: skip
         grid = _grid(self._model, self.previewed, e, heading)
         return np.concatenate([head, self._model.parameters(), grid.reshape(-1)])
-
-    def gains_at(self, speed: float) -> Array:
-        """The gains (n + previewed,) of the controller's own weights at a speed (m/s), not interpolated.
-
-        On the deviation of the state from the steady turn (with its sign in the steering), then on the changes of
-        curvature times speed (rad/s) from each period to the next.
-        """
-        A, B, _ = self._model.discrete(speed)
-        e, heading = self.tuning["q_e"] / self.tuning["r"], self.tuning["q_heading"] / self.tuning["r"]
-        return preview_gains(A, B[:, 0], steady_turn(self.vehicle, speed, len(A))[0], e, heading, self.previewed)
 
     def describe(self) -> dict[str, Any]:
         loop = {"belief": str(self.belief), "pose_age": self.pose_age}
@@ -126,18 +118,27 @@ def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: Array
 
     A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights
     for every model.
+
+    Raises
+    ------
+    InvalidInput
+        When the weights are further apart than float64 can tell.
     """
-    Q = np.zeros_like(A)
+    n, Q, P, K = B.shape[-1], np.zeros(A.shape), np.empty(A.shape), np.empty(B.shape)
     Q[..., 1, 1], Q[..., -1, -1] = q_heading, q_e
-    P = riccati(A, B, Q)
-    K = feedback(A, B, P)
+    work = np.empty(7 * n * n)
+    with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
+        for i in np.ndindex(B.shape[:-1]):
+            if laws.riccati(A[i], B[i], Q[i], P[i], work) == 0:
+                raise InvalidInput(WEIGHTS_TOO_FAR_APART)
+            laws.lqr_feedback(A[i], B[i], P[i], K[i])
     closed = A - B[..., :, None] * K[..., None, :]
-    gains = np.empty((*K.shape[:-1], K.shape[-1] + count))
-    gains[..., : K.shape[-1]] = -K
+    gains = np.empty((*K.shape[:-1], n + count))
+    gains[..., :n] = -K
     column, later = B[..., None], product(P, X[..., None])
     denominator = 1.0 + (column * product(P, column)).sum(axis=-2)[..., 0]
     for j in range(count):
-        gains[..., K.shape[-1] + j] = (column * later).sum(axis=-2)[..., 0] / denominator
+        gains[..., n + j] = (column * later).sum(axis=-2)[..., 0] / denominator
         later = product(np.moveaxis(closed, -1, -2), later)
     return gains
 

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, make_dataclass
-from typing import Any, Self
+from dataclasses import astuple
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import real, whole_number
+from adaptrack.base.checked import Count, real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
+from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.control.controllers.base import Policy
-from adaptrack.core.controllers.mpc import MPC_TUNING_FIELDS, MPCTuning
+from adaptrack.control.settings import RecordSettings
+from adaptrack.core.controllers.mpc import MPCTuning
 
 Array = NDArray[np.float64]
 
@@ -22,36 +23,23 @@ ENTRIES = MPCTuning._fields
 """The MPC's named tuning entries."""
 HORIZONS = ENTRIES[:2]
 """Entries of the MPC that are whole numbers."""
-_Entries: Any = make_dataclass(
-    "_Entries", [(field.name, float, field.default) for field in MPC_TUNING_FIELDS], frozen=True,
-    namespace={"__post_init__": lambda self: None},
-)  # fmt: skip
 
 
-class Tuning(_Entries):  # type: ignore[misc]
-    """Horizons and weights of the MPC; the defaults are the paper's table.
-
-    Np and Nc are the prediction and the control horizon (control periods), Q (1/m^2) weighs the tracking error and R
-    (1/rad^2) the moves; only R/Q changes the control law.
+class Tuning(RecordSettings, record=MPCTuning):
+    """Horizons and weights of the MPC; only R/Q changes the control law. The defaults are the paper's table.
 
     Raises
     ------
     InvalidInput
-        Unless 1 <= Nc <= Np are integers, Q >= 0 and R > 0 are finite.
+        When the control horizon is longer than the prediction horizon.
     """
 
+    Np: Annotated[Count, PREDICTION_HORIZON]
+    Nc: Annotated[Count, CONTROL_HORIZON]
+
     def __post_init__(self) -> None:
-        for name in ENTRIES:
-            check = whole_number if name in HORIZONS else real
-            object.__setattr__(self, name, check("Tuning", name, getattr(self, name)))
-        check_limit("Tuning: Np", self.Np, PREDICTION_HORIZON)
-        check_limit("Tuning: Nc", self.Nc, CONTROL_HORIZON)
         if self.Nc > self.Np:
             raise InvalidInput(f"Tuning: Nc = {self.Nc} > Np = {self.Np}: the control horizon must not be longer.")
-        if not 0.0 <= self.Q < math.inf:
-            raise InvalidInput(f"Tuning: Q = {self.Q!r}: must be finite and not negative.")
-        if not 0.0 < self.R < math.inf:
-            raise InvalidInput(f"Tuning: R = {self.R!r}: must be finite and positive (the QP is not convex else).")
 
     def as_array(self) -> Array:
         """[Np, Nc, Q, R] as floats."""

@@ -267,7 +267,7 @@ class Network(Function):
 
     def __post_init__(self) -> None:
         for name in ("out_low", "out_high"):
-            object.__setattr__(self, name, float(getattr(self, name)))
+            object.__setattr__(self, name, real("Network", name, getattr(self, name)))
         width = len(self.low)
         fits = self.low.shape == self.high.shape == (width,) and len(self.weights) == len(self.biases) > 0
         for weights, biases in zip(self.weights, self.biases, strict=False):
@@ -315,8 +315,7 @@ class Network(Function):
     def load(cls, saved: Mapping[str, Any]) -> Self:
         return cls(
             read_array(saved["low"]), read_array(saved["high"]), tuple(map(read_array, saved["weights"])),
-            tuple(map(read_array, saved["biases"])), real("network", "out_low", saved["out_low"]),
-            real("network", "out_high", saved["out_high"]), bool(saved["relu"]),
+            tuple(map(read_array, saved["biases"])), saved["out_low"], saved["out_high"], bool(saved["relu"]),
         )  # fmt: skip
 
 

@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, checked, real, reals
-from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
-from adaptrack.base.files import SHIPPED, write_atomically
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean
+from adaptrack.base.files import read_json, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.registry import Contract
+from adaptrack.cars.vehicle import find_data, list_data
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.controllers.base import Policy
 from adaptrack.control.controllers.compatibility import car_of
@@ -50,9 +51,6 @@ MAX_HORIZON = 1000
 """The longest horizon that a schedule may ask for: a controller makes room for it."""
 SCHEDULER_FORMAT, VERSION = "adaptrack-scheduler", 2
 """Of the files of schedules: JSON with a format, a version and a checksum."""
-_DATA = SHIPPED / "schedulers"
-MOST_ENTRIES = 8
-"""Entries of a controller's tuning, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +97,9 @@ class StabilityMap:
     """the largest value that is allowed: 1 - the least modulus margin"""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.table, Table) or len(self.table.axes) != 5 or self.table.method != "multilinear":
+        table, axes = self.table, guard_kernel.MAP_AXES
+        if not isinstance(table, Table) or table.n_inputs != axes or table.method != "multilinear":
             raise InvalidInput("StabilityMap: needs a multilinear table over speed, friction, Np, Nc and log10 R/Q.")
-
-    def pack(self, row: Any, pool: Pool) -> None:
-        """Write it to a guard's record (`core.scheduling.guard.GUARD`) and the packed functions."""
-        row.mapped, row.limit = True, self.limit
-        pool.add(self.table, row)
 
 
 @checked
@@ -146,7 +140,8 @@ class Guard:
         row.rates[:], row.ratio_rate = self.rates[:2], self.rates[2]
         row.offset_limit = math.inf if self.offset_limit is None else self.offset_limit * GRAVITY
         if self.stability is not None:
-            self.stability.pack(row, pool)
+            row.mapped, row.limit = True, self.stability.limit
+            pool.add(self.stability.table, row)
 
     def saved(self) -> dict[str, Any]:
         """Return the content of the guard's file (text, numbers, lists), which `loaded` reads back to the bit."""
@@ -234,8 +229,10 @@ class Schedule:
 
     def _check_entries(self) -> None:
         are_names = all(isinstance(name, str) for name in self.entries) and len(set(self.entries)) == len(self.entries)
-        if not are_names or not 0 < len(self.entries) <= MOST_ENTRIES:
-            raise InvalidInput(f"schedule: entries = {self.entries!r}: must be 1 to {MOST_ENTRIES} different names.")
+        if not are_names or not 0 < len(self.entries) <= guard_kernel.MAX_ENTRIES:
+            raise InvalidInput(
+                f"schedule: entries = {self.entries!r}: must be 1 to {guard_kernel.MAX_ENTRIES} different names."
+            )
         if set(self.tuning) != set(self.entries):
             raise InvalidInput(
                 f"schedule: the tuning has {', '.join(map(str, self.tuning)) or 'no entry'}; "
@@ -335,7 +332,21 @@ class Schedule:
     @cached_property
     def _packed(self) -> tuple[Any, NDArray[np.int64], Array, int]:
         """settings, integers, numbers and the length of the scratch, see `core.scheduling.schedule`."""
-        return _pack(self)
+        array, pool = kernel.SCHEDULE_SETTINGS.new(1), Pool()
+        settings = array[0]
+        settings.n_inputs, settings.n_entries = len(self.inputs), len(self.entries)
+        settings.tunes_mpc = self.tunes_mpc
+        for row, name, (low, high) in zip(settings.inputs, self.inputs, self.domain.tolist(), strict=False):
+            row.place, row.low, row.high = VARIABLE_NAMES.index(name), low, high
+        for row, name in zip(settings.entries, self.entries, strict=False):
+            entry = self.tuning[name]
+            row.kind = pool.add(entry.function, row)
+            row.log10, row.horizon = entry.log10, self.tunes_mpc and name in HORIZONS
+            row.low, row.high = entry.low, entry.high
+        if self.guard is not None:
+            self.guard.pack(settings.guard, pool)
+        scratch = pool.scratch + kernel.SCHEDULE_SCRATCH
+        return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), scratch
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is packed: data types that were pickled are slower to pass to a kernel."""
@@ -396,31 +407,6 @@ class Schedule:
             made_for=content["made_for"],
             entries=tuple(entries),
         )
-
-
-def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
-    array = np.zeros(1, kernel.SCHEDULE_SETTINGS)
-    settings, pool = array[0], Pool()
-    settings.n_inputs, settings.n_entries, settings.tunes_mpc = (
-        len(schedule.inputs),
-        len(schedule.entries),
-        schedule.tunes_mpc,
-    )
-    for row, name, (low, high) in zip(settings.inputs, schedule.inputs, schedule.domain.tolist(), strict=False):
-        row.place, row.low, row.high = VARIABLE_NAMES.index(name), low, high
-    for row, name in zip(settings.entries, schedule.entries, strict=False):
-        entry = schedule.tuning[name]
-        row.kind = pool.add(entry.function, row)
-        row.log10, row.horizon = entry.log10, schedule.tunes_mpc and name in HORIZONS
-        row.low, row.high = entry.low, entry.high
-    if schedule.guard is not None:
-        schedule.guard.pack(settings.guard, pool)
-    return (
-        array,
-        np.array(pool.integers, np.int64),
-        np.array(pool.numbers, np.float64),
-        pool.scratch + kernel.SCHEDULE_SCRATCH,
-    )
 
 
 @checked
@@ -522,7 +508,7 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     StorageError
         When the file cannot be read, is damaged, is not a scheduler, or has a version that this program cannot read.
     """
-    path = _path(name_or_path)
+    path = find_data("schedulers", name_or_path, ".json")
     content = _read_content(path)
     try:
         schedule = replace(Schedule.loaded(content), name=path.stem)
@@ -536,7 +522,7 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
 
 def list_schedulers() -> list[str]:
     """The names of the schedulers that ship with the package."""
-    return sorted(path.stem for path in _DATA.glob("*.json"))
+    return list_data("schedulers", ".json")
 
 
 def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
@@ -554,19 +540,6 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
     }
 
 
-def _path(name_or_path: str | os.PathLike[str]) -> Path:
-    path = Path(name_or_path)
-    if not isinstance(name_or_path, str) or path.suffix == ".json" or len(path.parts) != 1:
-        return path
-    path = _DATA / f"{name_or_path}.json"
-    if not path.exists():
-        raise UnknownName(
-            f"no scheduler is named {name_or_path!r}. {did_you_mean(name_or_path, list_schedulers())} "
-            "A file is given by its .json path."
-        )
-    return path
-
-
 def _read_content(path: Path) -> Any:
     """The content of a scheduler's file, its checksum compared.
 
@@ -576,13 +549,9 @@ def _read_content(path: Path) -> Any:
         When the file cannot be read, is damaged, is no scheduler, or has a version that this program cannot read.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # not UTF-8, or a path that cannot be
-        raise StorageError(f"{path}: cannot be read: {error}.") from None
-    try:
-        file = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise StorageError(f"{path}: not a scheduler file, or damaged: {error}. Train or copy it again.") from None
+        file = read_json(path)
+    except ConfigError as error:
+        raise StorageError(f"{error} It is not a scheduler file, or damaged: train or copy it again.") from None
     if not isinstance(file, dict) or file.get("format") != SCHEDULER_FORMAT:
         raise StorageError(f"{path}: not a scheduler file: its format is not {SCHEDULER_FORMAT!r}.")
     if file.get("version") != VERSION:
@@ -652,12 +621,9 @@ def _check_functions(schedule: Schedule, rows: Array, contract: Contract) -> Non
     k = int(np.argmax((called != planned).any(axis=1)))
     evidence = f"called, it gives {called[k].tolist()}; compiled, {planned[k].tolist()}"
     contract.require((called == planned).all(), "must give the same in Python and compiled", evidence)
-    columns = [SchedulingVariables._fields.index(name) for name in schedule.inputs]
-    x = np.clip(rows[:, columns], *schedule.domain.T)
     for i, name in enumerate(schedule.entries):
-        entry = schedule.tuning[name]
-        expected = entry.function.predict(x)
-        expected = np.clip(portable.power(10.0, expected) if entry.log10 else expected, entry.low, entry.high)
+        alone = Schedule(schedule.inputs, schedule.domain, {name: schedule.tuning[name]}, entries=(name,))
+        expected = alone.batch(rows)[:, 0]  # neither rounded nor kept below another entry
         if schedule.tunes_mpc and name == "Nc":
             expected = np.minimum(expected, planned[:, 0])
         off = np.abs(planned[:, i] - expected)

@@ -1,7 +1,7 @@
 """The scheduling variables, and the functions of them: a network, a fuzzy system, a table or a number, of D inputs.
 
 Each is packed into an array of whole numbers (`integers`) and one of reals (`numbers`) by the class that holds it, in
-the order of the reader here: `_network`, `_sugeno` and `_table` name the parts again.
+the order that `network`, `_sugeno` and `_table` state.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 from ..kernel import (
-    boolean,
     columns,
     exported,
     float64,
@@ -40,12 +39,6 @@ MAX_DISTANCE_WIDTHS = 1e150
 NEGLIGIBLE = 50.0
 """A rule this much weaker than the strongest, by its logarithm, adds less than rounding does: e^-50 = 2e-22."""
 
-NetworkRecord = record("NetworkRecord", (
-    ("relu", boolean), ("layers", int64), ("inputs", int64), ("widths", int_vector), "out_low", "out_span",
-    ("low", vector), ("inverse_span", vector), ("neurons", vector),
-))  # fmt: skip
-"""relu: of the output; layers: their number; inputs: D; widths (layers,): of the layers; low, inverse_span (D,): of the
-inputs; neurons: the weights of each neuron and then its bias, layer after layer."""
 SugenoRecord = record("SugenoRecord", (
     ("inputs", int64), ("functions", int64), ("rules", int64), ("owner", int_vector), ("bell", int_vector),
     ("antecedents", int_matrix), ("inverse_width", vector), ("slope", vector), ("centre", vector),
@@ -60,37 +53,33 @@ TableRecord = record("TableRecord", (("inputs", int64), ("sizes", int_vector), (
 _FUNCTION = float64(vector, int_vector, vector, vector)
 
 
-@inlined
-def _network(integers, numbers):
-    relu, layers, inputs = integers[0], integers[1], integers[2]
-    spans, neurons = 2 + inputs, 2 + 2 * inputs
-    return NetworkRecord(
-        relu == 1, layers, inputs, integers[3:], numbers[0], numbers[1], numbers[2:spans], numbers[spans:neurons],
-        numbers[neurons:],
-    )  # fmt: skip
-
-
 @exported(_FUNCTION)
 def network(x, integers, numbers, neurons):
-    """A feed-forward net with sigmoid hidden layers and one output, eqs. (21)-(23); neurons: scratch."""
-    net = _network(integers, numbers)
-    for i in range(net.inputs):
-        neurons[i] = (x[i] - net.low[i]) * net.inverse_span[i]
-    width, before, at = net.inputs, 0, 0
+    """A feed-forward net with sigmoid hidden layers and one output, eqs. (21)-(23); neurons: scratch.
+
+    integers: whether the output has a ReLU, number of layers, D, width of each layer; numbers: low and span of the
+    output, low (D,) and inverse span (D,) of the inputs, then the weights of each neuron and its bias, layer by layer.
+    """
+    relu, layers, inputs, widths = integers[0], integers[1], integers[2], integers[3:]
+    out_low, out_span, low, inverse_span = numbers[0], numbers[1], numbers[2 : 2 + inputs], numbers[2 + inputs :]
+    weights = inverse_span[inputs:]
+    for i in range(inputs):
+        neurons[i] = (x[i] - low[i]) * inverse_span[i]
+    width, before, at = inputs, 0, 0
     out = 0.0
-    for layer in range(net.layers):
-        next_wide, after = net.widths[layer], before + width
+    for layer in range(layers):
+        next_wide, after = widths[layer], before + width
         for j in range(next_wide):
-            out = net.neurons[at + width]
+            out = weights[at + width]
             for i in range(width):
-                out += net.neurons[at + i] * neurons[before + i]
+                out += weights[at + i] * neurons[before + i]
             at += width + 1
-            if layer < net.layers - 1:
+            if layer < layers - 1:
                 neurons[after + j] = 1.0 / (1.0 + exp(min(-out, SATURATED_INPUT)))
         width, before = next_wide, after
-    if net.relu:
+    if relu == 1:
         out = max(0.0, out)
-    return net.out_low + net.out_span * out
+    return out_low + out_span * out
 
 
 @inlined

@@ -82,7 +82,7 @@ def lqr_error_model(car, speed, a, b):
 
 @exported(void(Row(CarRow), float64, float64, matrix, vector))
 def sampled_error_model(car, period, speed, a, b):
-    """`error_model` over one period (s) with the steering held, exactly: A (4, 4), B (4,)."""
+    """`lqr_error_model` over one period (s) with the steering held, exactly: A (4, 4), B (4,)."""
     m, rates = _columns(), _column()
     s0, s1, s2, s3 = _columns(), _columns(), _columns(), _columns()
     lqr_error_model(car, speed, m, rates)

@@ -56,15 +56,17 @@ SAMPLE_LIMITS = np.array([_limit(field) for field in fields_of(TRACKER_SAMPLE)])
 """(len(TRACKER_SAMPLE),), magnitudes from which a value counts as not measured; NaN: none."""
 
 _STATUSES = {
-    "ok": "a new position was used",
+    "ok": "a new position was used; a call between two instants has the status of the last one",
     "estimated": "no new position, or none to be believed: the command is that of the estimate",
     "held": "no position yet or for too long, no solution, or the car turns against its commands: the command before "
             "is held; stop the car, or steer by hand",
     "standing": "the car stands, its wheels stay at rest",
-    "reverse": "the car drives backwards: the wheels are left where they are",
-    "off_path": "far from the path: stop the car, or give another path",
-    "end": "beyond the end of an open path: it goes on straight; stop the car",
-    "sliding": "the car slides or spins: a command is given all the same; slow down",
+    "reverse": "the car drives backwards, which no controller here can: the wheels are left where they are",
+    "off_path": "further from the path than `furthest`, or without a foot on it within 400 m of the last one (the "
+                "offset is then NaN): a command is given all the same; stop the car, or give another path",
+    "end": "beyond the end of an open path: it goes on straight; stop the car, or give another path",
+    "sliding": "the car slides or spins, its sideslip is beyond 8.5 degrees and more than a rolling turn has: a "
+               "command is given all the same, by a model that knows no sliding; slow down",
     "repeated": "at the time of the call before, or earlier: left out, the command is the same",
     "no_time": "neither t nor now is a time: left out",
 }  # fmt: skip
