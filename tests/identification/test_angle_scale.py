@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.identification.test_identification import CAR, driven
 
 import adaptrack as at
 from adaptrack.identification import Reading
@@ -16,6 +15,7 @@ from adaptrack.identification.consistency import implausible_estimates
 from adaptrack.identification.outliers import find_samples
 from adaptrack.identification.reading import read_columns
 from adaptrack.results.identify import identification_result
+from identification.known_logs import CAR, driven
 
 pytestmark = pytest.mark.kernels
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from adaptrack import MPC, DualTrack, RoadDrive, SpeedControl, load_vehicle, simulate
+from adaptrack import MPC, DualTrack, RoadDrive, SpeedControl, Vehicle, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.cli.app import app
@@ -16,6 +16,7 @@ from adaptrack.core.identification import drive as kernel
 from adaptrack.identification import DriveIdentification, identify_drive
 from adaptrack.identification.hypotheses import Evidence, compare
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
+from identification.known_logs import write_csv
 from pedal_cars import BRAKE_DEAD_TIME, BRAKE_LAG, DRIVE_DEAD_TIME, DRIVE_LAG, PedalCar
 
 pytestmark = pytest.mark.kernels
@@ -113,17 +114,19 @@ def test_two_logs_of_one_car_narrow_the_intervals() -> None:
         assert joint.low <= TRUTH[name] <= joint.high
 
 
+def _car_of_the_command(tmp_path, columns: dict[str, np.ndarray]) -> tuple[Vehicle, str]:
+    """The car that `identify --longitudinal` writes for a log, and what it prints."""
+    log, car = write_csv(tmp_path / "log.csv", columns), tmp_path / "my-car.toml"
+    command = ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(car)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    return load_vehicle(car), result.output
+
+
 @pytest.mark.compiled
 def test_a_car_file_of_the_command_drives_a_speed_control_with_known_delays(tmp_path) -> None:
-    log, car = tmp_path / "log.csv", tmp_path / "my-car.toml"
-    columns = _log()
-    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
-    result = CliRunner().invoke(
-        app, ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(car)]
-    )
-    assert result.exit_code == 0, result.output
-    assert "Gain and mass are one number" in " ".join(result.output.split())
-    vehicle = load_vehicle(car)
+    vehicle, output = _car_of_the_command(tmp_path, _log())
+    assert "Gain and mass are one number" in " ".join(output.split())
     assert vehicle.drive.lag == pytest.approx(_identified().estimates["drive_lag"].value, rel=1e-3)
     settings = SpeedControl(vehicle).settings(PERIOD, Comfort())
     assert settings.brake_dead_time == vehicle.brakes.dead_time
@@ -191,9 +194,7 @@ def test_gravity_in_a_measured_acceleration_is_possible_and_no_contradiction() -
 
 
 def test_a_command_in_the_wrong_unit_is_found_by_the_command_and_refused_by_the_fit(tmp_path) -> None:
-    file = tmp_path / "loop.csv"
-    columns = {"time": _TIME, "speed": _SPEED, "accel_cmd": 100.0 * _PEDAL}
-    np.savetxt(file, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    file = write_csv(tmp_path / "loop.csv", {"time": _TIME, "speed": _SPEED, "accel_cmd": 100.0 * _PEDAL})
     result = CliRunner().invoke(app, ["check-loop", str(file)])
     assert result.exit_code == 3, result.output
     assert "per cent" in " ".join(result.output.split())
@@ -218,14 +219,9 @@ def _pedal_log() -> dict[str, np.ndarray]:
 
 @pytest.mark.compiled
 def test_a_log_of_pedals_gives_the_pedal_map_lags_and_dead_times(tmp_path) -> None:
-    log, file = tmp_path / "log.csv", tmp_path / "my-car.toml"
     columns = {name if name in ("time", "speed") else f"{name} [%]": values for name, values in _pedal_log().items()}
     columns |= {name: 100.0 * values for name, values in columns.items() if "%" in name}
-    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
-    command = ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(file)]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
-    identified, car = load_vehicle(file), PedalCar(CAR, 0.01)
+    (identified, _), car = _car_of_the_command(tmp_path, columns), PedalCar(CAR, 0.01)
     delays = [getattr(part, name) for part in (identified.drive, identified.brakes) for name in ("lag", "dead_time")]
     assert delays == pytest.approx([DRIVE_LAG, DRIVE_DEAD_TIME, BRAKE_LAG, BRAKE_DEAD_TIME], abs=0.03)
     for speed in (1.5, 5.0, 9.0):

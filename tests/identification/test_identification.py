@@ -10,80 +10,41 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import odeint, solve_ivp
+from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
 import adaptrack as at
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
 from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.estimates import CORRECTIONS, corrected, estimates_of
-from adaptrack.identification.hypotheses import Evidence, guessed_ratio, refuse_contradictions
+from adaptrack.identification.hypotheses import guessed_ratio
 from adaptrack.identification.likelihood import Likelihood
-from adaptrack.identification.log import Log, log_of
+from adaptrack.identification.log import log_of
 from adaptrack.identification.log_fit import fit_log
 from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
-from adaptrack.identification.reading import Reading, read_columns
-from adaptrack.road import generate_road
+from adaptrack.identification.reading import read_columns
+from identification.known_logs import (
+    BIAS,
+    CAR,
+    DEAD_TIME,
+    LAG,
+    PERIOD,
+    RELAXATION,
+    base,
+    check_signals,
+    driven,
+    integrated,
+)
 
 pytestmark = pytest.mark.kernels
 
 LEVER = 2.0
-PERIOD, LAG, DEAD_TIME, BIAS, RELAXATION = 0.05, 0.18, 0.13, 0.006, 0.3
-CAR = at.load_vehicle("compact-ev").replace(steering=None, side_force_slope=0.0, yaw_moment_slope=0.0)
-
-
-def driven(
-    duration: float, seed: int = 0, *, noise: float = 0.003, speed: float | None = None
-) -> dict[str, np.ndarray]:
-    """A log that a test may change, see `integrated`."""
-    return dict(integrated(duration, seed, noise, speed))
-
-
-@cache
-def integrated(
-    duration: float, seed: int, noise: float, speed: float | None, swing: float = 1.0
-) -> dict[str, np.ndarray]:
-    """A log of the single-track vehicle on linear tyres behind lag and dead time, integrated by SciPy: the truth.
-
-    swing: factor on the steering angles.
-    """
-    rng = np.random.default_rng(seed)
-    time = PERIOD * np.arange(round(duration / PERIOD))
-    waves = rng.uniform(0.05, 1.2, 8), rng.uniform(0.0, math.tau, 8)
-    command = swing * 0.012 * np.sin(math.tau * np.outer(time, waves[0]) + waves[1]).sum(axis=1) / math.sqrt(8) * 2
-    pace = np.full(time.size, speed) if speed else 15.0 + 7.0 * np.sin(0.2 * time)
-    front, rear = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
-
-    def slope(t: float, x: np.ndarray) -> list[float]:
-        vy, r, af, ar, delta = x
-        v = float(np.interp(t, time, pace))
-        late = min(max(math.floor((t - DEAD_TIME) / PERIOD + 1e-9), 0), time.size - 1)
-        return [
-            (front * af + rear * ar) / CAR.mass - v * r, (CAR.lf * front * af - CAR.lr * rear * ar) / CAR.yaw_inertia,
-            v * (delta - math.atan2(vy + CAR.lf * r, v) - af) / RELAXATION,
-            -v * (math.atan2(vy - CAR.lr * r, v) + ar) / RELAXATION, (command[late] + BIAS - delta) / LAG,
-        ]  # fmt: skip
-
-    start = [0.0, 0.0, 0.0, 0.0, command[0] + BIAS]
-    x = odeint(slope, start, time, tfirst=True, hmax=0.01, rtol=1e-7, atol=1e-9).T
-    force = (front * x[2] + rear * x[3]) / CAR.mass
-    return {
-        "time": time, "command": command, "speed": pace, "yaw_rate": x[1] + noise * rng.standard_normal(time.size),
-        "wheel": x[4], "acceleration": force, "vy": x[0],
-    }  # fmt: skip
-
-
-def check_signals(log: Log) -> None:
-    refuse_contradictions(Evidence(wheelbase=CAR.wheelbase, cleaned=log), "signals")
 
 
 @pytest.fixture(scope="module")
 def log() -> dict[str, np.ndarray]:
-    drive = driven(60.0)
-    return {name: drive[name] for name in ("time", "command", "speed", "yaw_rate")}
+    return base()
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +184,7 @@ def test_a_log_becomes_a_car_that_drives(tmp_path) -> None:
     loaded = at.load_vehicle(mine)
     assert loaded.steady_state_yaw_gain(15.0) == pytest.approx(car.steady_state_yaw_gain(15.0), rel=0.05)
     points = tmp_path / "road.csv"
-    places = generate_road("country", 3, 300.0).at(np.arange(0.0, 300.0, 3.0))
+    places = at.generate_road("country", 3, 300.0).at(np.arange(0.0, 300.0, 3.0))
     np.savetxt(points, np.stack([places.x, places.y], axis=-1), delimiter=",", header="x,y", comments="")
     result = CliRunner().invoke(app, ["drive", str(points), "--vehicle", str(mine), "--json"])
     assert result.exit_code == 0, result.output
@@ -256,18 +217,16 @@ def test_a_steering_ratio_that_a_log_at_one_speed_does_not_tell_is_said_to_be_op
 def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log: dict[str, np.ndarray]) -> None:
     plain = {name: log[name] for name in ("time", "speed", "yaw_rate")}
     at_wheel = plain | {"SWA_deg": 15.2 * np.degrees(log["command"])}
-    read = read_columns(at_wheel, Reading())
+    read = read_columns(at_wheel, at.Reading())
     assert (read.commanded, read.ratio_unknown) == (False, True)
     assert guessed_ratio(log_of(read.values, CAR.wheelbase, (), False), CAR.wheelbase) == pytest.approx(15.2, rel=0.2)
-    columns = read_columns(at_wheel, Reading(steering_ratio=15.2))
+    columns = read_columns(at_wheel, at.Reading(steering_ratio=15.2))
     assert not columns.ratio_unknown
     assert np.allclose(columns.values["wheel"], log["command"])
-    assert read_columns(log, Reading(steering_ratio="fit")).ratio_unknown
-    degrees = read_columns(plain | {"swa": 15.2 * np.degrees(log["command"])}, Reading())
-    with pytest.raises(InvalidInput, match="--units steering_wheel=deg"):
+    assert read_columns(log, at.Reading(steering_ratio="fit")).ratio_unknown
+    degrees = read_columns(plain | {"swa": 15.2 * np.degrees(log["command"])}, at.Reading())
+    with pytest.raises(at.InvalidInput, match="--units steering_wheel=deg"):
         guessed_ratio(log_of(degrees.values, CAR.wheelbase, (), False), CAR.wheelbase)
-    with pytest.raises(InvalidInput, match="or fit"):
-        Reading(steering_ratio=0.0)
 
 
 @pytest.mark.compiled
@@ -281,9 +240,8 @@ def test_the_page_shows_measured_and_simulated(answer: at.Identification, tmp_pa
 
 @pytest.mark.compiled
 def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer: at.Identification) -> None:
-    drive = driven(60.0)
-    drive["wheel"] = drive["wheel"] + 0.001 * np.random.default_rng(5).standard_normal(drive["time"].size)
-    likelihood = prepare({k: drive[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
+    wheel = driven(60.0)["wheel"]
+    likelihood = prepare(base() | {"wheel": wheel + 0.001 * np.random.default_rng(5).standard_normal(wheel.size)}, CAR)
     estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["lag"].standard_error < 0.7 * answer["lag"].standard_error
     assert abs(estimates["lag"].value - LAG) < 0.01
@@ -339,8 +297,7 @@ def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyre
 def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() -> None:
     drive = driven(40.0)
     noise = 0.02 * np.random.default_rng(4).standard_normal(drive["time"].size)
-    log = {k: drive[k] for k in ("time", "command", "speed", "yaw_rate")}
-    likelihood = prepare(log | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
+    likelihood = prepare(base(40.0) | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
     estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["vy_ahead"].value == pytest.approx(1.2, abs=0.15)
     assert estimates["rear"].low < 2.0 * CAR.stiffness_rear < estimates["rear"].high
@@ -348,8 +305,7 @@ def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() ->
 
 @pytest.mark.compiled
 def test_at_even_speed_offset_and_gyro_are_said_to_be_inseparable() -> None:
-    drive = driven(40.0, speed=15.0)
-    answer = at.identify({k: drive[k] for k in ("time", "command", "speed", "yaw_rate")}, CAR)
+    answer = at.identify(base(40.0, speed=15.0), CAR)
     assert any("known in sum only" in sentence for sentence in answer.findings)
 
 
@@ -363,42 +319,49 @@ def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
     assert answer["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.2)
 
 
-@pytest.mark.parametrize(("signal", "factor", "remedy"), [
-    ("command", -1.0, "--flip command"),
-    ("yaw_rate", -1.0, "--flip"),
-    ("command", 180.0 / math.pi, "--units command=deg"),
-    ("command", 16.0, "--steering-ratio 1"),
-    ("command", 16.0 * 180.0 / math.pi, "--units command=deg --steering-ratio"),
-    ("yaw_rate", 180.0 / math.pi, "--units"),
-    ("speed", 3.6, "--units speed=km/h"),
-    ("acceleration", -1.0, "--flip acceleration"),
-    ("acceleration", 1.0 / 9.80665, "--units acceleration=g"),
-])  # fmt: skip
-def test_a_wrong_sign_or_unit_is_named_with_the_option_that_mends_it(
-    log: dict[str, np.ndarray], signal: str, factor: float, remedy: str
-) -> None:
-    wrong_log = log | {signal: driven(60.0)[signal] * factor}
-    with pytest.raises(InvalidInput, match=remedy):
-        check_signals(log_of(wrong_log, CAR.wheelbase))
-
-
 def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
     check_signals(log_of(dict(log), CAR.wheelbase))
 
 
-def test_logs_that_tell_nothing_are_refused(log: dict[str, np.ndarray]) -> None:
-    short = {name: values[:200] for name, values in log.items()}
-    for wrong_log, words in (
-        (short, "at least 20 s"),
-        (log | {"speed": np.zeros_like(log["speed"])}, "never drives"),
-        (log | {"command": 0.0 * log["command"]}, "hardly any steering"),
-        (log | {"yaw_rate": np.full_like(log["time"], np.nan)}, "never holds a number"),
-        (log | {"time": 1000.0 * log["time"]}, "--units time=ms"),
-        ({k: v for k, v in log.items() if k != "speed"}, "--columns speed=NAME"),
-        (log | {"time": log["time"][::-1].copy()}, "time goes back"),
-    ):
-        with pytest.raises(InvalidInput, match=words):
-            log_of(dict(wrong_log), CAR.wheelbase)
+@pytest.mark.parametrize(("signal", "change", "words"), [
+    ("command", lambda x: -x, "--flip command"),
+    ("yaw_rate", lambda x: -x, "--flip"),
+    ("command", np.degrees, "--units command=deg"),
+    ("command", lambda x: 16.0 * x, "--steering-ratio 1"),
+    ("command", lambda x: 16.0 * np.degrees(x), "--units command=deg --steering-ratio"),
+    ("yaw_rate", np.degrees, "--units"),
+    ("speed", lambda x: 3.6 * x, "--units speed=km/h"),
+    ("acceleration", lambda x: -x, "--flip acceleration"),
+    ("acceleration", lambda x: x / 9.80665, "--units acceleration=g"),
+    ("time", lambda x: 1000.0 * x, "--units time=ms"),
+    ("time", lambda x: x[::-1].copy(), "time goes back"),
+    ("speed", np.zeros_like, "never drives"),
+    ("command", np.zeros_like, "hardly any steering"),
+    ("yaw_rate", lambda x: np.full_like(x, np.nan), "never holds a number"),
+    ("yaw_rate", np.zeros_like, "holds 0 while the car is steered, 60 s in all: the gyro"),
+    ("yaw_rate", lambda x: np.full_like(x, 0.1), r"holds 0\.1 while the car is steered, 60 s in all: the gyro"),
+    ("speed", lambda x: 1e3 * x, r"100 % of speed are outliers .*--columns speed=NAME.*--units"),
+    ("yaw_rate", lambda x: np.where(np.arange(1200) % 10 == 0, 9.0, x), "10 % of yaw_rate are outliers"),
+])  # fmt: skip
+def test_a_wrong_signal_is_refused_with_the_option_that_mends_it(signal: str, change: Any, words: str) -> None:
+    with pytest.raises(at.InvalidInput, match=words):
+        check_signals(log_of(base() | {signal: change(driven(60.0)[signal])}, CAR.wheelbase))
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda: log_of({name: values[:200] for name, values in base().items()}, CAR.wheelbase), "at least 20 s"),
+    (lambda: log_of({k: v for k, v in base().items() if k != "speed"}, CAR.wheelbase), "--columns speed=NAME"),
+    (lambda: read_columns(base(), at.Reading({"time": "Zeit"})), "no column"),
+    (lambda: at.Reading({"tempo": "V"}), "no signal"),
+    (lambda: at.Reading(units={"speed": "knots"}), "must be m/s or km/h or mph"),
+    (lambda: at.Reading(steering_ratio=0.0), "or fit"),
+    (lambda: CarRanges(mass=(-1.0, 2.0)), r"mass.0. = -1.0: must be a finite number > 0"),
+    (lambda: at.identify({"time": np.zeros(3)}), "--mass"),
+    (lambda: at.identify({"time": np.zeros(3)}, CAR, mass=1000.0), "either a car"),
+])  # fmt: skip
+def test_what_tells_nothing_is_refused(call: Any, words: str) -> None:
+    with pytest.raises(at.InvalidInput, match=words):
+        call()
 
 
 ROW = 400
@@ -455,10 +418,7 @@ def test_honest_logs_lose_no_sample(log: dict[str, np.ndarray]) -> None:
         assert np.isfinite(cleaned.yaw_rate).all()
 
 
-def test_a_gyro_that_is_stuck_is_refused_or_left_out(log: dict[str, np.ndarray]) -> None:
-    for value in (0.1, 0.0):
-        with pytest.raises(InvalidInput, match=f"holds {value:g} while the car is steered, 60 s in all: the gyro"):
-            log_of(log | {"yaw_rate": np.full(1200, value)}, CAR.wheelbase)
+def test_a_gyro_that_is_stuck_for_a_while_is_left_out(log: dict[str, np.ndarray]) -> None:
     partly = log["yaw_rate"].copy()
     partly[300:500] = partly[300]
     cleaned = log_of(log | {"yaw_rate": partly}, CAR.wheelbase)
@@ -475,14 +435,6 @@ def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log:
     assert np.isfinite(cleaned.yaw_rate).all()
 
 
-def test_a_signal_of_many_outliers_is_refused_with_its_column_and_unit(log: dict[str, np.ndarray]) -> None:
-    with pytest.raises(InvalidInput, match=r"100 % of speed are outliers .*--columns speed=NAME.*--units"):
-        log_of(log | {"speed": 1e3 * log["speed"]}, CAR.wheelbase)
-    wrong_log = np.where(np.arange(1200) % 10 == 0, 9.0, log["yaw_rate"])
-    with pytest.raises(InvalidInput, match="10 % of yaw_rate are outliers"):
-        log_of(log | {"yaw_rate": wrong_log}, CAR.wheelbase)
-
-
 def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log: dict[str, np.ndarray]) -> None:
     now_and_then = np.where(np.arange(1200) % 5 == 0, log["yaw_rate"], math.nan)
     check_signals(log_of(log | {"yaw_rate": now_and_then}, CAR.wheelbase))
@@ -494,7 +446,7 @@ def test_what_a_log_tells_is_an_error_where_it_is_not_finite(log: dict[str, np.n
     for value in (math.inf, 1e300):
         absurd = np.where(np.arange(cleaned.samples) == 100, value, cleaned.yaw_rate)
         beliefs = beliefs_of(CAR) | {"noise_yaw_rate": Prior(0.003, 1.5)}
-        with pytest.raises(InvalidInput, match="not finite"):
+        with pytest.raises(at.InvalidInput, match="not finite"):
             Likelihood(replace(cleaned, yaw_rate=absurd), CAR, beliefs).fit(np.zeros(len(QUANTITIES)))
 
 
@@ -511,7 +463,7 @@ def test_columns_are_guessed_with_their_units_and_the_guess_is_said(log: dict[st
     table = np.column_stack([1000 * log["time"], log["command"], 3.6 * log["speed"], np.degrees(log["yaw_rate"])])
     lines = [";".join(f"{v:.6f}".replace(".", ",") for v in row) for row in table]
     path.write_text("# a comment\ntime_ms;SteeringCmd;Speed [km/h];GyroZ_dps\n" + "\n".join(lines))
-    read = read_columns(path, Reading())
+    read = read_columns(path, at.Reading())
     for name in ("command", "speed", "yaw_rate"):
         assert np.allclose(read.values[name], log[name], atol=1e-5), name
     assert np.allclose(read.values["time"], log["time"], atol=1e-5)
@@ -528,18 +480,12 @@ def test_columns_units_signs_and_ratio_are_read_as_told(log: dict[str, np.ndarra
         "Gier": np.degrees(log["yaw_rate"]),
     }  # fmt: skip
     pyarrow.parquet.write_table(pyarrow.table(columns), path)
-    reading = Reading(
+    reading = at.Reading(
         {"time": "T", "command": "Lenkrad", "speed": "V", "yaw_rate": "Gier"}, {"": "deg"}, ("command",), 15.0
     )
     read = read_columns(path, reading)
     assert np.allclose(read.values["command"], log["command"])
     assert np.allclose(read.values["yaw_rate"], log["yaw_rate"])
-    with pytest.raises(InvalidInput, match="no column"):
-        read_columns(path, Reading({"time": "Zeit"}))
-    with pytest.raises(InvalidInput, match="no signal"):
-        Reading({"tempo": "V"})
-    with pytest.raises(InvalidInput, match="must be m/s or km/h or mph"):
-        Reading(units={"speed": "knots"})
 
 
 @pytest.mark.compiled
@@ -547,7 +493,7 @@ def test_an_own_trajectory_is_read_with_the_computation_of_its_profile(tmp_path)
     car = at.load_vehicle("paper")
     run = at.rollout(at.SingleTrack(car), at.MPC(car, profile="road"), at.random_drive(3, 30.0), profile="road")
     run.save(tmp_path / "run.parquet")
-    read = read_columns(tmp_path / "run.parquet", Reading())
+    read = read_columns(tmp_path / "run.parquet", at.Reading())
     assert np.array_equal(read.values["command"], run.command)
     assert read.computation == pytest.approx(0.05)
 
@@ -578,19 +524,10 @@ def test_a_seed_gives_one_random_car_within_its_ranges() -> None:
         factors = car.vehicle.stiffness_factors(car.tyre)
         assert factors == pytest.approx((1.0, 1.0))
         assert car.vehicle.yaw_inertia / car.vehicle.mass == pytest.approx(base.yaw_inertia / base.mass)
-    with pytest.raises(InvalidInput, match=r"mass.0. = -1.0: must be a finite number > 0"):
-        CarRanges(mass=(-1.0, 2.0))
-
-
-def test_a_car_of_mass_and_wheelbase_is_asked_for_or_a_car() -> None:
-    with pytest.raises(InvalidInput, match="--mass"):
-        at.identify({"time": np.zeros(3)})
-    with pytest.raises(InvalidInput, match="either a car"):
-        at.identify({"time": np.zeros(3)}, CAR, mass=1000.0)
 
 
 def test_steering_that_is_known_is_believed_before_the_log() -> None:
-    car: Vehicle = CAR.replace(steering=Steering(lag=0.2, dead_time=0.1))
+    car: at.Vehicle = CAR.replace(steering=at.Steering(lag=0.2, dead_time=0.1))
     beliefs = beliefs_of(car)
     assert beliefs["delay"].median == pytest.approx(0.3)
     assert beliefs["lag_share"].median == pytest.approx(2.0 / 3.0)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import odeint
-from tests.identification.test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, check_signals, driven
 from typer.testing import CliRunner
 
 import adaptrack as at
@@ -20,20 +19,9 @@ from adaptrack.identification.hypotheses import Evidence, drop_computed_columns,
 from adaptrack.identification.log import SHORTENED, log_of, shorten_log
 from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.reading import Reading, read_columns
+from identification.known_logs import BIAS, CAR, DEAD_TIME, LAG, PERIOD, base, check_signals, driven, held, write_csv
 
-BASE = ("time", "command", "speed", "yaw_rate")
 RATIO = 15.0
-
-
-def base(duration: float = 60.0, seed: int = 0) -> dict[str, np.ndarray]:
-    """Time, command, speed and yaw rate of a log."""
-    drive = driven(duration, seed)
-    return {name: drive[name] for name in BASE}
-
-
-def held(command: np.ndarray, rows: int) -> np.ndarray:
-    """A command some rows later."""
-    return command[np.maximum(np.arange(command.size) - rows, 0)]
 
 
 @cache
@@ -152,10 +140,9 @@ def test_a_speed_in_kmh_is_named_where_positions_show_it() -> None:
 
 
 def test_names_in_a_comment_are_read(tmp_path) -> None:
-    path, drive = tmp_path / "log.csv", base()
-    table = np.column_stack([drive[name] for name in BASE])
-    np.savetxt(path, table, delimiter=",", header="time(s),delta_cmd(rad),vx(m/s),omega(rad/s)")
-    assert np.allclose(read_columns(path, Reading()).values["yaw_rate"], drive["yaw_rate"])
+    path, names = tmp_path / "log.csv", ("# time(s)", "delta_cmd(rad)", "vx(m/s)", "omega(rad/s)")
+    write_csv(path, dict(zip(names, base().values(), strict=True)))
+    assert np.allclose(read_columns(path, Reading()).values["yaw_rate"], base()["yaw_rate"])
 
 
 # -- what is not told, what contradicts -------------------------------------------------------------------------------

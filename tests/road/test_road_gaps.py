@@ -68,8 +68,8 @@ def test_between_two_points_a_road_makes_no_detour_or_the_points_are_named():
 def line(road, spacing, aside=0.0, part=(0.0, 1.0)):
     """Points beside a road, (n, 2)."""
     s = np.arange(part[0] * road.length, part[1] * road.length, spacing)
-    at = road.at(s)
-    return np.stack([at.x - aside * np.sin(at.heading), at.y + aside * np.cos(at.heading)], axis=-1)
+    place = road.at(s)
+    return np.stack([place.x - aside * np.sin(place.heading), place.y + aside * np.cos(place.heading)], axis=-1)
 
 
 COUNTRY, TOWN = generate_road("country", seed=3, length=600.0), generate_road("town", seed=5, length=500.0)

@@ -206,10 +206,10 @@ def test_the_double_lane_change_keeps_to_the_sections_of_the_track() -> None:
     speed = 16.0
     test = load_scenario("double-lane-change", speed=speed, approach=0.5)
 
-    def at(metres: float) -> float:
+    def offset_at(metres: float) -> float:
         return float(test.reference_at(0.5 + metres / speed))
 
-    assert [at(x) for x in (0.0, 15.0, 45.0, 70.0, 95.0, 125.0)] == pytest.approx([0, 0, 3.5, 3.5, 0, 0], abs=1e-12)
+    assert [offset_at(x) for x in (0.0, 15.0, 45.0, 70.0, 95.0, 125.0)] == pytest.approx([0, 0, 3.5, 3.5, 0, 0], abs=1e-12)
     assert test.duration == pytest.approx(0.5 + 125.0 / speed + 2.0)
 
 
