@@ -62,7 +62,7 @@ def _identified() -> DriveIdentification:
     return identify_drive(_log(), CAR)
 
 
-def test_with_the_true_quantities_the_innovations_are_those_of_the_integration_step() -> None:
+def test_with_the_true_quantities_the_innovations_are_those_of_the_integration_step():
     time, request, speed = _integrated(0)
     rows = np.stack([time, request, speed, np.eye(1, time.size)[0]])
     values = TRUTH | {"push_spread": 0.1, "push_time": 5.0, "jolt": 0.01, "noise_speed": 0.01}
@@ -72,7 +72,7 @@ def test_with_the_true_quantities_the_innovations_are_those_of_the_integration_s
 
 
 @pytest.mark.compiled
-def test_lag_dead_time_gain_and_resistance_come_back_within_their_intervals() -> None:
+def test_lag_dead_time_gain_and_resistance_come_back_within_their_intervals():
     for name, value in TRUTH.items():
         estimate = _identified().estimates[name]
         assert estimate.low <= value <= estimate.high, name
@@ -80,7 +80,7 @@ def test_lag_dead_time_gain_and_resistance_come_back_within_their_intervals() ->
 
 
 @pytest.mark.compiled
-def test_a_force_and_the_same_acceleration_give_the_same_drive_and_brakes() -> None:
+def test_a_force_and_the_same_acceleration_give_the_same_drive_and_brakes():
     accelerated = identify_drive(_log("acceleration_command"), CAR)
     for name in ("drive_lag", "drive_dead_time", "drive_gain", "brake_lag", "brake_gain"):
         estimate = _identified().estimates[name]
@@ -91,7 +91,7 @@ def test_a_force_and_the_same_acceleration_give_the_same_drive_and_brakes() -> N
 
 
 @pytest.mark.compiled
-def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back() -> None:
+def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back():
     road = Road.from_segments([Line(length=900.0)], name="straight")
     road = road.replace(grade=([0.0, 300.0, 350.0, 900.0], [0.0, 0.0, 0.03, -0.02]))
     plan = plan_speed(road, CAR, Comfort(accelerate=1.5), stops=[Stop(280.0, 1.0), Stop(600.0, 1.0)], top_speed=16.0)
@@ -106,7 +106,7 @@ def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back() -> No
 
 
 @pytest.mark.compiled
-def test_two_logs_of_one_car_narrow_the_intervals() -> None:
+def test_two_logs_of_one_car_narrow_the_intervals():
     both = identify_drive([_log(), _log(seed=1)], CAR)
     for name in ("drive_lag", "brake_gain"):
         single, joint = _identified().estimates[name], both.estimates[name]
@@ -124,7 +124,7 @@ def _car_of_the_command(tmp_path, columns: dict[str, np.ndarray]) -> tuple[Vehic
 
 
 @pytest.mark.compiled
-def test_a_car_file_of_the_command_drives_a_speed_control_with_known_delays(tmp_path) -> None:
+def test_a_car_file_of_the_command_drives_a_speed_control_with_known_delays(tmp_path):
     vehicle, output = _car_of_the_command(tmp_path, _log())
     assert "Gain and mass are one number" in " ".join(output.split())
     assert vehicle.drive.lag == pytest.approx(_identified().estimates["drive_lag"].value, rel=1e-3)
@@ -133,7 +133,7 @@ def test_a_car_file_of_the_command_drives_a_speed_control_with_known_delays(tmp_
 
 
 @pytest.mark.compiled
-def test_what_the_log_cannot_tell_keeps_its_value_and_is_reported() -> None:
+def test_what_the_log_cannot_tell_keeps_its_value_and_is_reported():
     log = _log()
     log["force_command"] = np.maximum(log["force_command"], 0.0)
     identification = identify_drive(log, CAR.replace(brakes=BRAKES))
@@ -155,7 +155,7 @@ _PEDAL = np.where(_REQUEST > 0.0, _REQUEST / 5.0, _REQUEST / 9.0)
     ({"force_command": None, "throttle": 100.0 * _PEDAL, "brake": 0.0 * _PEDAL}, "--units throttle=%"),
     ({"force_command": None, "throttle": np.abs(_PEDAL), "brake": 0.0 * _PEDAL}, "hardly any braking"),
 ])  # fmt: skip
-def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -> None:
+def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message):
     log = {name: values for name, values in (_log() | changes).items() if values is not None}
     with pytest.raises(InvalidInput, match=message):
         identify_drive(log, CAR)
@@ -173,9 +173,7 @@ def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -
     ("longitudinal_acceleration", -_CHANGE, "--flip longitudinal_acceleration"),
     ("longitudinal_acceleration", _CHANGE / 9.81, "in g"),
 ])  # fmt: skip
-def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit_is_wrong(
-    signal, values, message
-) -> None:
+def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit_is_wrong(signal, values, message):
     contradictions = [
         agreement.contradiction
         for agreement in compare(Evidence({"time": _TIME, "speed": _SPEED, signal: values}, mass=CAR.mass), "speed")
@@ -186,14 +184,14 @@ def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit
     assert bool(message) == bool(contradictions[0])
 
 
-def test_gravity_in_a_measured_acceleration_is_possible_and_no_contradiction() -> None:
+def test_gravity_in_a_measured_acceleration_is_possible_and_no_contradiction():
     values = {"time": _TIME, "speed": _SPEED, "longitudinal_acceleration": _CHANGE + _GRAVITY}
     *_, agreement = compare(Evidence(values, mass=CAR.mass), "speed")
     assert not agreement.contradiction
     assert "possibly it contains gravity" in agreement.possibility
 
 
-def test_a_command_in_the_wrong_unit_is_found_by_the_command_and_refused_by_the_fit(tmp_path) -> None:
+def test_a_command_in_the_wrong_unit_is_found_by_the_command_and_refused_by_the_fit(tmp_path):
     file = write_csv(tmp_path / "loop.csv", {"time": _TIME, "speed": _SPEED, "accel_cmd": 100.0 * _PEDAL})
     result = CliRunner().invoke(app, ["check-loop", str(file)])
     assert result.exit_code == 3, result.output
@@ -218,7 +216,7 @@ def _pedal_log() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.compiled
-def test_a_log_of_pedals_gives_the_pedal_map_lags_and_dead_times(tmp_path) -> None:
+def test_a_log_of_pedals_gives_the_pedal_map_lags_and_dead_times(tmp_path):
     columns = {name if name in ("time", "speed") else f"{name} [%]": values for name, values in _pedal_log().items()}
     columns |= {name: 100.0 * values for name, values in columns.items() if "%" in name}
     (identified, _), car = _car_of_the_command(tmp_path, columns), PedalCar(CAR, 0.01)

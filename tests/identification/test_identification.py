@@ -6,7 +6,6 @@ import json
 import math
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -54,9 +53,7 @@ def answer(log: dict[str, np.ndarray]) -> at.Identification:
 
 
 @pytest.mark.parametrize(("speed", "swing", "accuracy"), [(None, 1.0, 5e-4), (5.0, 5.0, 5e-3)])
-def test_the_filter_run_blind_is_the_single_track_vehicle_in_tight_bends_too(
-    speed: float | None, swing: float, accuracy: float
-) -> None:
+def test_the_filter_run_blind_is_the_single_track_vehicle_in_tight_bends_too(speed, swing, accuracy):
     drive = dict(integrated(25.0, 0, 0.0, speed, swing))
     cleaned = log_of(dict(drive), CAR.wheelbase)
     exact = {
@@ -72,7 +69,7 @@ def test_the_filter_run_blind_is_the_single_track_vehicle_in_tight_bends_too(
     assert np.abs(errors[4][settled]).max() < 1e-4  # the wheels
 
 
-def test_wheels_move_as_lag_and_rate_limit_let_them() -> None:
+def test_wheels_move_as_lag_and_rate_limit_let_them():
     from adaptrack.core.identification.steering import _move_wheels
 
     angle, target, lag, rate, span = -0.02, 0.2, 0.15, 0.5, 0.4
@@ -85,7 +82,7 @@ def test_wheels_move_as_lag_and_rate_limit_let_them() -> None:
     assert np.allclose(moved, end, atol=1e-7)
 
 
-def test_errors_are_corrected_but_never_beyond_what_was_believed() -> None:
+def test_errors_are_corrected_but_never_beyond_what_was_believed():
     factor, floor, *_ = CORRECTIONS["dead_time"]
     assert corrected("dead_time", 0.01, 0.1, True, 0.7) == pytest.approx(math.hypot(factor * 0.01, floor / 0.1))
     factor, floor, share, *_ = CORRECTIONS["understeer_gradient"]
@@ -97,7 +94,7 @@ def test_errors_are_corrected_but_never_beyond_what_was_believed() -> None:
 
 
 @pytest.mark.compiled
-def test_the_covariance_is_that_of_the_reported_errors(answer: at.Identification) -> None:
+def test_the_covariance_is_that_of_the_reported_errors(answer):
     real = ("understeer_gradient", "offset", "gyro_offset", "push_mean")
     for variance, estimate in zip(np.diag(answer.covariance), answer.estimates.values(), strict=True):
         if estimate.standard_error > 0.0:
@@ -106,14 +103,14 @@ def test_the_covariance_is_that_of_the_reported_errors(answer: at.Identification
 
 
 @pytest.mark.compiled
-def test_delay_and_its_split_are_found_in_a_log_of_an_independent_simulation(answer: at.Identification) -> None:
+def test_delay_and_its_split_are_found_in_a_log_of_an_independent_simulation(answer):
     assert answer["delay"].value == pytest.approx(LAG + DEAD_TIME, abs=0.01)
     assert abs(answer["lag"].value - LAG) < 3.0 * answer["lag"].standard_error + 0.002
     assert abs(answer["dead_time"].value - DEAD_TIME) < 3.0 * answer["dead_time"].standard_error + 0.002
 
 
 @pytest.mark.compiled
-def test_tyres_and_offset_lie_within_three_standard_errors(answer: at.Identification) -> None:
+def test_tyres_and_offset_lie_within_three_standard_errors(answer):
     truth = {
         "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear, "offset": BIAS, "noise_yaw_rate": 0.003,
         "understeer_gradient": CAR.understeer_gradient,
@@ -124,14 +121,14 @@ def test_tyres_and_offset_lie_within_three_standard_errors(answer: at.Identifica
 
 
 @pytest.mark.compiled
-def test_held_out_stretches_are_predicted(answer: at.Identification) -> None:
+def test_held_out_stretches_are_predicted(answer):
     assert answer.validation.simulated > 0.95
     assert answer.validation.one_step > 0.95
     assert max(map(abs, answer.validation.autocorrelation)) < 0.15
 
 
 @pytest.mark.compiled
-def test_the_file_of_the_car_holds_what_was_found(answer: at.Identification, tmp_path) -> None:
+def test_the_file_of_the_car_holds_what_was_found(answer, tmp_path):
     answer.to_toml(tmp_path / "mine.toml")
     car = at.load_vehicle(tmp_path / "mine.toml")
     assert car.name == "mine"
@@ -162,7 +159,7 @@ def steady_yaw_rate(plant: at.DualTrack, angle: float, speed: float) -> float:
 
 
 @pytest.mark.compiled
-def test_the_written_car_turns_on_the_plant_as_its_model_says(answer: at.Identification, tmp_path) -> None:
+def test_the_written_car_turns_on_the_plant_as_its_model_says(answer, tmp_path):
     answer.to_toml(tmp_path / "mine.toml")
     car = at.load_vehicle(tmp_path / "mine.toml")
     assert car.stiffness_factors(at.load_tyre(car.tyre)) == pytest.approx((1.0, 1.0), rel=1e-6)
@@ -173,7 +170,7 @@ def test_the_written_car_turns_on_the_plant_as_its_model_says(answer: at.Identif
 
 
 @pytest.mark.compiled
-def test_a_log_becomes_a_car_that_drives(tmp_path) -> None:
+def test_a_log_becomes_a_car_that_drives(tmp_path):
     car = at.load_vehicle("midsize-sedan")
     run = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.random_drive(5, 60.0), profile="road")
     run.save(tmp_path / "log.parquet")
@@ -195,7 +192,7 @@ def test_a_log_becomes_a_car_that_drives(tmp_path) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("turning", [("yaw_rate",), ("yaw_rate", "wheel")])
-def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning: tuple[str, ...]) -> None:
+def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning):
     drive, ratio = driven(60.0), 15.2
     log = {name: drive[name] for name in ("time", "speed", *turning)}
     log["steering_wheel_angle"] = ratio * (drive["wheel"] - BIAS)
@@ -206,7 +203,7 @@ def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning: tuple
 
 
 @pytest.mark.compiled
-def test_a_steering_ratio_that_a_log_at_one_speed_does_not_tell_is_said_to_be_open() -> None:
+def test_a_steering_ratio_that_a_log_at_one_speed_does_not_tell_is_said_to_be_open():
     drive = driven(40.0, speed=20.0)
     log = {name: drive[name] for name in ("time", "speed", "yaw_rate")} | {"swa": 15.2 * drive["wheel"]}
     answer = at.identify(log, CAR)
@@ -214,7 +211,7 @@ def test_a_steering_ratio_that_a_log_at_one_speed_does_not_tell_is_said_to_be_op
     assert any("ratio" in sentence for sentence in answer.findings)
 
 
-def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log: dict[str, np.ndarray]) -> None:
+def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log):
     plain = {name: log[name] for name in ("time", "speed", "yaw_rate")}
     at_wheel = plain | {"SWA_deg": 15.2 * np.degrees(log["command"])}
     read = read_columns(at_wheel, at.Reading())
@@ -230,7 +227,7 @@ def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log:
 
 
 @pytest.mark.compiled
-def test_the_page_shows_measured_and_simulated(answer: at.Identification, tmp_path) -> None:
+def test_the_page_shows_measured_and_simulated(answer, tmp_path):
     from adaptrack.results.identify import write_identification_page
 
     text = write_identification_page(answer, tmp_path / "page.html", "adaptrack identify").read_text()
@@ -239,7 +236,7 @@ def test_the_page_shows_measured_and_simulated(answer: at.Identification, tmp_pa
 
 
 @pytest.mark.compiled
-def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer: at.Identification) -> None:
+def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer):
     wheel = driven(60.0)["wheel"]
     likelihood = prepare(base() | {"wheel": wheel + 0.001 * np.random.default_rng(5).standard_normal(wheel.size)}, CAR)
     estimates = estimates_of(fit_log(likelihood))[0]
@@ -275,7 +272,7 @@ def gusty(seed: int) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.compiled
-def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
+def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth():
     likelihood = prepare(gusty(4), at.load_vehicle("compact-ev").replace(steering=None))
     delay = estimates_of(fit_log(likelihood))[0]["delay"]
     assert delay.low < 0.13 < delay.high
@@ -283,7 +280,7 @@ def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
 
 
 @pytest.mark.compiled
-def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyres() -> None:
+def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyres():
     drive = driven(40.0)
     late = np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])
     likelihood = prepare({k: drive[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
@@ -294,7 +291,7 @@ def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyre
 
 
 @pytest.mark.compiled
-def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() -> None:
+def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found():
     drive = driven(40.0)
     noise = 0.02 * np.random.default_rng(4).standard_normal(drive["time"].size)
     likelihood = prepare(base(40.0) | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
@@ -304,13 +301,13 @@ def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() ->
 
 
 @pytest.mark.compiled
-def test_at_even_speed_offset_and_gyro_are_said_to_be_inseparable() -> None:
+def test_at_even_speed_offset_and_gyro_are_said_to_be_inseparable():
     answer = at.identify(base(40.0, speed=15.0), CAR)
     assert any("known in sum only" in sentence for sentence in answer.findings)
 
 
 @pytest.mark.compiled
-def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
+def test_without_a_command_the_delay_is_said_to_be_unseen():
     drive = driven(40.0)
     answer = at.identify({k: drive[k] for k in ("time", "wheel", "speed", "yaw_rate")}, CAR)
     assert "delay" not in answer.estimates
@@ -319,7 +316,7 @@ def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
     assert answer["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.2)
 
 
-def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
+def test_a_right_log_passes_its_conventions(log):
     check_signals(log_of(dict(log), CAR.wheelbase))
 
 
@@ -343,7 +340,7 @@ def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
     ("speed", lambda x: 1e3 * x, r"100 % of speed are outliers .*--columns speed=NAME.*--units"),
     ("yaw_rate", lambda x: np.where(np.arange(1200) % 10 == 0, 9.0, x), "10 % of yaw_rate are outliers"),
 ])  # fmt: skip
-def test_a_wrong_signal_is_refused_with_the_option_that_mends_it(signal: str, change: Any, words: str) -> None:
+def test_a_wrong_signal_is_refused_with_the_option_that_mends_it(signal, change, words):
     with pytest.raises(at.InvalidInput, match=words):
         check_signals(log_of(base() | {signal: change(driven(60.0)[signal])}, CAR.wheelbase))
 
@@ -359,7 +356,7 @@ def test_a_wrong_signal_is_refused_with_the_option_that_mends_it(signal: str, ch
     (lambda: at.identify({"time": np.zeros(3)}), "--mass"),
     (lambda: at.identify({"time": np.zeros(3)}, CAR, mass=1000.0), "either a car"),
 ])  # fmt: skip
-def test_what_tells_nothing_is_refused(call: Any, words: str) -> None:
+def test_what_tells_nothing_is_refused(call, words):
     with pytest.raises(at.InvalidInput, match=words):
         call()
 
@@ -383,7 +380,7 @@ ROW = 400
     ("wheel", [ROW], -0.5),
     ("yaw", [ROW], 2.0),
 ])  # fmt: skip
-def test_outliers_are_counted_and_left_out_and_all_else_is_kept(signal: str, rows: Any, value: float) -> None:
+def test_outliers_are_counted_and_left_out_and_all_else_is_kept(signal, rows, value):
     drive = driven(60.0)
     drive["yaw"] = np.remainder(np.cumsum(PERIOD * drive["yaw_rate"]) + math.pi, math.tau) - math.pi
     honest, rows = log_of(dict(drive), CAR.wheelbase), list(rows)
@@ -402,7 +399,7 @@ def test_outliers_are_counted_and_left_out_and_all_else_is_kept(signal: str, row
     assert np.isnan(left).all() if filled is None else np.allclose(left, getattr(honest, signal)[rows], atol=filled)
 
 
-def test_honest_logs_lose_no_sample(log: dict[str, np.ndarray]) -> None:
+def test_honest_logs_lose_no_sample(log):
     drive, rng = driven(60.0), np.random.default_rng(3)
     step = {"yaw_rate": 0.02, "speed": 0.3, "wheel": 0.01, "acceleration": 0.2, "command": 0.01}
     quantised = drive | {name: np.round(drive[name] / size) * size for name, size in step.items()}
@@ -418,7 +415,7 @@ def test_honest_logs_lose_no_sample(log: dict[str, np.ndarray]) -> None:
         assert np.isfinite(cleaned.yaw_rate).all()
 
 
-def test_a_gyro_that_is_stuck_for_a_while_is_left_out(log: dict[str, np.ndarray]) -> None:
+def test_a_gyro_that_is_stuck_for_a_while_is_left_out(log):
     partly = log["yaw_rate"].copy()
     partly[300:500] = partly[300]
     cleaned = log_of(log | {"yaw_rate": partly}, CAR.wheelbase)
@@ -427,7 +424,7 @@ def test_a_gyro_that_is_stuck_for_a_while_is_left_out(log: dict[str, np.ndarray]
     check_signals(cleaned)
 
 
-def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log: dict[str, np.ndarray]) -> None:
+def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log):
     straight = (log["time"] > 20.0) & (log["time"] < 35.0)
     command = np.where(straight, 0.001 * np.sin(log["time"]), log["command"])
     rests = np.where(straight, 0.0, np.round(log["yaw_rate"], 2))
@@ -435,13 +432,13 @@ def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log:
     assert np.isfinite(cleaned.yaw_rate).all()
 
 
-def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log: dict[str, np.ndarray]) -> None:
+def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log):
     now_and_then = np.where(np.arange(1200) % 5 == 0, log["yaw_rate"], math.nan)
     check_signals(log_of(log | {"yaw_rate": now_and_then}, CAR.wheelbase))
 
 
 @pytest.mark.compiled
-def test_what_a_log_tells_is_an_error_where_it_is_not_finite(log: dict[str, np.ndarray]) -> None:
+def test_what_a_log_tells_is_an_error_where_it_is_not_finite(log):
     cleaned = log_of({name: values[:450] for name, values in log.items()}, CAR.wheelbase)
     for value in (math.inf, 1e300):
         absurd = np.where(np.arange(cleaned.samples) == 100, value, cleaned.yaw_rate)
@@ -450,7 +447,7 @@ def test_what_a_log_tells_is_an_error_where_it_is_not_finite(log: dict[str, np.n
             Likelihood(replace(cleaned, yaw_rate=absurd), CAR, beliefs).fit(np.zeros(len(QUANTITIES)))
 
 
-def test_repeated_rows_are_dropped_and_gaps_begin_a_segment(log: dict[str, np.ndarray]) -> None:
+def test_repeated_rows_are_dropped_and_gaps_begin_a_segment(log):
     rows = np.concatenate([np.arange(500), [499, 499], np.arange(600, 1200)])
     cleaned = log_of({name: values[rows] for name, values in log.items()}, CAR.wheelbase)
     assert cleaned.segments == 2
@@ -458,7 +455,7 @@ def test_repeated_rows_are_dropped_and_gaps_begin_a_segment(log: dict[str, np.nd
     assert any("repeat" in note for note in cleaned.notes)
 
 
-def test_columns_are_guessed_with_their_units_and_the_guess_is_said(log: dict[str, np.ndarray], tmp_path) -> None:
+def test_columns_are_guessed_with_their_units_and_the_guess_is_said(log, tmp_path):
     path = tmp_path / "log.csv"
     table = np.column_stack([1000 * log["time"], log["command"], 3.6 * log["speed"], np.degrees(log["yaw_rate"])])
     lines = [";".join(f"{v:.6f}".replace(".", ",") for v in row) for row in table]
@@ -470,7 +467,7 @@ def test_columns_are_guessed_with_their_units_and_the_guess_is_said(log: dict[st
     assert any("GyroZ_dps" in note for note in read.notes)
 
 
-def test_columns_units_signs_and_ratio_are_read_as_told(log: dict[str, np.ndarray], tmp_path) -> None:
+def test_columns_units_signs_and_ratio_are_read_as_told(log, tmp_path):
     import pyarrow
     import pyarrow.parquet
 
@@ -489,7 +486,7 @@ def test_columns_units_signs_and_ratio_are_read_as_told(log: dict[str, np.ndarra
 
 
 @pytest.mark.compiled
-def test_an_own_trajectory_is_read_with_the_computation_of_its_profile(tmp_path) -> None:
+def test_an_own_trajectory_is_read_with_the_computation_of_its_profile(tmp_path):
     car = at.load_vehicle("paper")
     run = at.rollout(at.SingleTrack(car), at.MPC(car, profile="road"), at.random_drive(3, 30.0), profile="road")
     run.save(tmp_path / "run.parquet")
@@ -498,7 +495,7 @@ def test_an_own_trajectory_is_read_with_the_computation_of_its_profile(tmp_path)
     assert read.computation == pytest.approx(0.05)
 
 
-def test_medians_and_spreads_are_what_a_point_at_the_origin_and_one_spread_off_mean() -> None:
+def test_medians_and_spreads_are_what_a_point_at_the_origin_and_one_spread_off_mean():
     median, spread = np.full(len(QUANTITIES), 0.4), np.full(len(QUANTITIES), 0.5)
     assert np.allclose(values_of(np.zeros(len(QUANTITIES)), median, spread), 0.4)
     there = values_of(np.ones(len(QUANTITIES)), median, spread)
@@ -512,7 +509,7 @@ def test_medians_and_spreads_are_what_a_point_at_the_origin_and_one_spread_off_m
     assert math.log(share / (1.0 - share)) == pytest.approx(math.log(0.4 / 0.6) + 0.5)
 
 
-def test_a_seed_gives_one_random_car_within_its_ranges() -> None:
+def test_a_seed_gives_one_random_car_within_its_ranges():
     for seed in range(12):
         car = random_car(seed)
         assert car == random_car(seed)
@@ -526,7 +523,7 @@ def test_a_seed_gives_one_random_car_within_its_ranges() -> None:
         assert car.vehicle.yaw_inertia / car.vehicle.mass == pytest.approx(base.yaw_inertia / base.mass)
 
 
-def test_steering_that_is_known_is_believed_before_the_log() -> None:
+def test_steering_that_is_known_is_believed_before_the_log():
     car: at.Vehicle = CAR.replace(steering=at.Steering(lag=0.2, dead_time=0.1))
     beliefs = beliefs_of(car)
     assert beliefs["delay"].median == pytest.approx(0.3)

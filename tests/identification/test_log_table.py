@@ -1,9 +1,6 @@
 """Times and units of a log: as recorders write them, and as they cannot be."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 import numpy as np
 import pyarrow
@@ -31,12 +28,12 @@ SIGNALS = {"command": 0.01 * np.sin(TIME), "speed": 15.0 + 0.5 * np.sin(TIME), "
     ("time", [date.isoformat(sep=" ", timespec="milliseconds") + "+02:00" for date in DATES]),
     ("time", [date.strftime("%H:%M:%S.%f") for date in DATES]),
 ])  # fmt: skip
-def test_times_are_read_as_recorders_write_them(tmp_path, name: str, times: Any) -> None:
+def test_times_are_read_as_recorders_write_them(tmp_path, name, times):
     read = read_columns(write_csv(tmp_path / "log.csv", {name: times} | SIGNALS), Reading())
     assert np.allclose(read.values["time"], TIME, rtol=0.0, atol=1e-9)
 
 
-def test_instants_and_durations_are_times_and_a_clock_shares_their_origin(tmp_path) -> None:
+def test_instants_and_durations_are_times_and_a_clock_shares_their_origin(tmp_path):
     columns = (
         pyarrow.array(DATES, pyarrow.timestamp("us", "UTC")),
         pyarrow.array(DATES, pyarrow.timestamp("ns")),
@@ -52,7 +49,7 @@ def test_instants_and_durations_are_times_and_a_clock_shares_their_origin(tmp_pa
     assert np.allclose(read.values["yaw_rate"][2:], 0.05 * np.sin(TIME[2:] - 0.01), atol=1e-4)
 
 
-def test_a_row_of_units_below_the_names_is_understood(tmp_path) -> None:
+def test_a_row_of_units_below_the_names_is_understood(tmp_path):
     degrees = {"Time": TIME, "Steering Angle": np.degrees(SIGNALS["command"]), "Speed": 3.6 * SIGNALS["speed"],
                "Yaw Rate": np.degrees(SIGNALS["yaw_rate"])}  # fmt: skip
     read = read_columns(write_csv(tmp_path / "log.csv", degrees, "s,deg,km/h,deg/s"), Reading()).values
@@ -61,7 +58,7 @@ def test_a_row_of_units_below_the_names_is_understood(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("name", ["yaw_rate_degs", "yaw_rate_deg_s", "yawRateDps", "yaw_rate [deg/sec]", "r_deg_per_s"])
-def test_degrees_per_second_are_known_by_their_names(name: str) -> None:
+def test_degrees_per_second_are_known_by_their_names(name):
     log = {"time": TIME, name: np.degrees(SIGNALS["yaw_rate"]), "yaw_degs": np.degrees(SIGNALS["yaw_rate"])}
     read = read_columns(log, Reading()).values
     assert np.allclose(read["yaw_rate"], SIGNALS["yaw_rate"])
@@ -74,13 +71,13 @@ def test_degrees_per_second_are_known_by_their_names(name: str) -> None:
      r"column 'time'.*first cell: '01\.05\.2024 10:00:00'.*ISO 8601"),
     ({"speed": ["fast"] * ROWS}, "", r"column 'speed'.*first cell: 'fast'.*--columns speed=NAME"),
 ])  # fmt: skip
-def test_a_column_that_cannot_be_read_is_refused_with_a_remedy(tmp_path, columns: Any, units: str, words: str) -> None:
+def test_a_column_that_cannot_be_read_is_refused_with_a_remedy(tmp_path, columns, units, words):
     path = write_csv(tmp_path / "log.csv", {"time": TIME} | SIGNALS | columns, units)
     with pytest.raises(InvalidInput, match=words):
         read_columns(path, Reading())
 
 
-def test_text_in_a_column_that_may_be_missing_leaves_it_out(tmp_path) -> None:
+def test_text_in_a_column_that_may_be_missing_leaves_it_out(tmp_path):
     path = write_csv(tmp_path / "log.csv", {"time": TIME} | SIGNALS | {"heading": ["N"] * ROWS})
     assert any("yaw is left out" in note for note in read_columns(path, Reading()).notes)
 
@@ -92,7 +89,7 @@ def test_text_in_a_column_that_may_be_missing_leaves_it_out(tmp_path) -> None:
     ("name", "sentence"),
     [("time_ms", "0.03 s of log, 50 microseconds between samples: is the time in s?"), ("time", "--units time=ms")],
 )
-def test_times_that_are_off_by_a_thousand_are_refused(tmp_path, words: str, name: str, sentence: str) -> None:
+def test_times_that_are_off_by_a_thousand_are_refused(tmp_path, words, name, sentence):
     times = TIME if name == "time_ms" else 1000.0 * TIME
     path = write_csv(tmp_path / "log.csv", {name: times} | SIGNALS)
     result = CliRunner().invoke(app, words.format(path).split())

@@ -54,13 +54,13 @@ def available(drive: at.Scenario, around: float = 0.4) -> np.ndarray:
 # ---- which drive
 
 
-def test_a_seed_is_a_drive_and_another_seed_another() -> None:
+def test_a_seed_is_a_drive_and_another_seed_another():
     assert at.random_drive(7) == at.random_drive(7)
     assert at.random_drive(np.int64(7)) == at.random_drive(7)  # type: ignore[arg-type]
     assert len({at.random_drive(seed).reference for seed in range(20)}) == 20
 
 
-def test_a_seed_is_the_same_drive_on_every_machine() -> None:
+def test_a_seed_is_the_same_drive_on_every_machine():
     """Numbers that this program gave elsewhere: they change only if every published result on drives does."""
     drive = at.random_drive(7)
     curve, *_, change = drive.reference.terms  # type: ignore[attr-defined]
@@ -71,24 +71,24 @@ def test_a_seed_is_the_same_drive_on_every_machine() -> None:
     assert drive.wind.y.terms[0].value == -5.91  # type: ignore[union-attr, attr-defined]
 
 
-def test_a_drive_says_how_to_make_it_again() -> None:
+def test_a_drive_says_how_to_make_it_again():
     for options in ({}, NARROW, {"duration": 20.0, "speed": [5, 10]}, {"speed": (15.0, 15.0)}):
         drive = at.random_drive(3, **options)
         assert eval(drive.source, {"random_drive": at.random_drive}) == drive
 
 
-def test_other_wind_leaves_the_road_and_the_driving_alone() -> None:
+def test_other_wind_leaves_the_road_and_the_driving_alone():
     calm, stormy = at.random_drive(5, wind=0.0), at.random_drive(5)
     assert_array_equal(calm.wind_at(T), 0.0)
     assert stormy.replace(wind=0.0, source="") == calm.replace(wind=0.0, source="")
 
 
-def test_drives_of_one_duration_have_equally_many_samples() -> None:
+def test_drives_of_one_duration_have_equally_many_samples():
     for duration in (0.1, 1.0, 7.3, 60.0):
         assert {at.random_drive(seed, duration).sample(0.05).n for seed in range(5)} == {round(duration / 0.05)}
 
 
-def test_drives_have_a_name_and_a_seed_as_its_option() -> None:
+def test_drives_have_a_name_and_a_seed_as_its_option():
     assert at.load_scenario("random-drive") == at.random_drive(0)
     assert at.load_scenario("random-drive", seed=12, duration=20.0) == at.random_drive(12, 20.0)
     assert at.load_scenario("random-drive", seed=12, friction=0.7) == at.random_drive(12).replace(friction=0.7)
@@ -98,7 +98,7 @@ def test_drives_have_a_name_and_a_seed_as_its_option() -> None:
 # ---- what they ask for
 
 
-def test_speed_stays_in_its_range_and_changes_as_a_car_can(promised: tuple[dict[str, Any], list[at.Scenario]]) -> None:
+def test_speed_stays_in_its_range_and_changes_as_a_car_can(promised):
     ranges, drives = promised
     for drive in drives:
         speed, along = drive.speed_at(T), rate(drive.speed_at)
@@ -110,7 +110,7 @@ def test_speed_stays_in_its_range_and_changes_as_a_car_can(promised: tuple[dict[
         assert np.abs(np.diff(along)).max() < 8.0 * STEP  # smoothly: no jump of the acceleration
 
 
-def test_friction_and_wind_stay_in_their_ranges(promised: tuple[dict[str, Any], list[at.Scenario]]) -> None:
+def test_friction_and_wind_stay_in_their_ranges(promised):
     ranges, drives = promised
     for drive in drives:
         friction = drive.friction_at(T)
@@ -121,28 +121,26 @@ def test_friction_and_wind_stay_in_their_ranges(promised: tuple[dict[str, Any], 
     assert_array_equal([drive.wind_at(T)[:, 0] for drive in drives], 0.0)
 
 
-def test_the_heading_of_the_reference_is_bounded(promised: tuple[dict[str, Any], list[at.Scenario]]) -> None:
+def test_the_heading_of_the_reference_is_bounded(promised):
     ranges, drives = promised
     for drive in drives:
         heading = np.arcsin(rate(drive.reference_at) / drive.speed_at(T))
         assert np.abs(heading).max() <= ranges["heading"] * (1.0 + 1e-6)
 
 
-def test_lateral_acceleration_never_exceeds_its_share_of_the_friction(
-    promised: tuple[dict[str, Any], list[at.Scenario]],
-) -> None:
+def test_lateral_acceleration_never_exceeds_its_share_of_the_friction(promised):
     ranges, drives = promised
     shares = np.array([np.abs(acceleration(drive)) / available(drive) for drive in drives])
     assert shares.max() <= ranges["demand"][1] + 1e-6
     assert np.median(shares.max(axis=1)) > 0.6 * ranges["demand"][1]  # and most drives ask for a good part of it
 
 
-def test_the_reference_is_twice_continuously_differentiable(drives: list[at.Scenario]) -> None:
+def test_the_reference_is_twice_continuously_differentiable(drives):
     for drive in drives:
         assert np.abs(np.diff(acceleration(drive))).max() < 25.0 * STEP  # the jerk is below 25 m/s^3
 
 
-def test_drives_begin_straight_and_on_the_reference(drives: list[at.Scenario]) -> None:
+def test_drives_begin_straight_and_on_the_reference(drives):
     begin = T[T <= 1.0]
     for drive in drives:
         assert drive.initial_y == 0.0
@@ -152,7 +150,7 @@ def test_drives_begin_straight_and_on_the_reference(drives: list[at.Scenario]) -
 # ---- how mixed they are
 
 
-def test_a_minute_holds_some_of_everything(drives: list[at.Scenario]) -> None:
+def test_a_minute_holds_some_of_everything(drives):
     terms = [drive.reference.terms for drive in drives]  # type: ignore[attr-defined]
     assert all(isinstance(term, LaneChange) for drive_terms in terms for term in drive_terms)
     assert 6 <= np.mean([len(drive_terms) for drive_terms in terms]) <= 12  # curves and lane changes
@@ -166,7 +164,7 @@ def test_a_minute_holds_some_of_everything(drives: list[at.Scenario]) -> None:
         assert 0.35 < np.mean(np.array(values) > 0.0) < 0.65  # left as often as right
 
 
-def test_a_quarter_of_the_drives_is_dry() -> None:
+def test_a_quarter_of_the_drives_is_dry():
     lowest = np.array([at.random_drive(seed).friction_at(T[::10]).min() for seed in range(400)])
     assert 0.19 < np.mean(lowest >= 0.79) < 0.31
     assert np.mean(lowest < 0.5) > 0.5
@@ -179,7 +177,7 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize(("option", "values"), IMPOSSIBLE.items(), ids=IMPOSSIBLE)
-def test_impossible_drives_are_refused(option: str, values: tuple[Any, ...]) -> None:
+def test_impossible_drives_are_refused(option, values):
     for value in values:
         with pytest.raises(at.InvalidInput, match=option):
             at.random_drive(**({"seed": 0} | {option: value}))
@@ -192,7 +190,7 @@ def test_impossible_drives_are_refused(option: str, values: tuple[Any, ...]) -> 
 
 
 @pytest.mark.compiled
-def test_one_good_tuning_keeps_to_most_drives() -> None:
+def test_one_good_tuning_keeps_to_most_drives():
     car = at.load_vehicle("paper")
     drives = [at.random_drive(seed, 20.0) for seed in range(30)]
     tunings = np.tile(at.Tuning(30, 10, 1.0, 3000.0).as_array(), (len(drives), 1))

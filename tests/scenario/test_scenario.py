@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,7 +66,7 @@ def derivative(function, t: np.ndarray, h: float = 1e-6) -> np.ndarray:
     return (function(t + h) - function(t - h)) / (2.0 * h)
 
 
-def test_a_shape_keeps_the_form_of_its_times_scales_and_survives_its_table() -> None:
+def test_a_shape_keeps_the_form_of_its_times_scales_and_survives_its_table():
     assert {shape.kind for shape in ONE_OF_EACH} == set(SHAPE_TYPES)
     t = np.linspace(-1.0, 7.0, 12)
     for shape in ONE_OF_EACH:
@@ -80,7 +79,7 @@ def test_a_shape_keeps_the_form_of_its_times_scales_and_survives_its_table() -> 
         assert as_shape(shape.table()) == shape
 
 
-def test_smooth_knots_agree_with_scipy_and_hold_the_outer_values() -> None:
+def test_smooth_knots_agree_with_scipy_and_hold_the_outer_values():
     interpolate = pytest.importorskip("scipy.interpolate")
     t, y = np.array(POINTS).T
     fine = np.linspace(0.0, 5.0, 503)
@@ -96,7 +95,7 @@ def test_smooth_knots_agree_with_scipy_and_hold_the_outer_values() -> None:
             assert_array_equal(shape.at([-3.0, 9.0]), y[[0, n - 1]])
 
 
-def test_a_lane_change_is_smooth_and_has_the_stated_extremes() -> None:
+def test_a_lane_change_is_smooth_and_has_the_stated_extremes():
     shape = LaneChange(amplitude=3.5, start=1.0, duration=4.0)
     assert_allclose(shape.at([0.0, 1.0, 3.0, 5.0, 9.0]), [0.0, 0.0, 1.75, 3.5, 3.5], rtol=1e-15)
     t = np.linspace(1.0, 5.0, 40_001)
@@ -105,7 +104,7 @@ def test_a_lane_change_is_smooth_and_has_the_stated_extremes() -> None:
     assert np.abs(np.gradient(rate, t)).max() == pytest.approx(10.0 / math.sqrt(3.0) * 3.5 / 16.0, rel=1e-5)
 
 
-def test_steps_gusts_sums_and_sines_have_the_values_of_their_formulas() -> None:
+def test_steps_gusts_sums_and_sines_have_the_values_of_their_formulas():
     assert_array_equal(Step(after=2.0, time=1.0).at([0.999, 1.0]), [0.0, 2.0])
     gust = Gust(peak=20.0, start=3.0, duration=2.0)
     assert_allclose(gust.at([3.0, 3.5, 4.0, 4.5, 5.0]), [0, 10, 20, 10, 0], atol=1e-14)
@@ -118,7 +117,7 @@ def test_steps_gusts_sums_and_sines_have_the_values_of_their_formulas() -> None:
 # ---- the paper's signals
 
 
-def test_the_triple_lane_change_has_the_published_signals() -> None:
+def test_the_triple_lane_change_has_the_published_signals():
     test = load_scenario("triple-lane-change")
     t = np.array([0.0, 13.543, 20.0, 28.0])
     steps = [(4.201, 13.543, 3.508), (4.328, 26.321, 2.601), (-4.773, 35.876, 2.206)]
@@ -131,7 +130,7 @@ def test_the_triple_lane_change_has_the_published_signals() -> None:
     assert test.initial_y == 0.0
 
 
-def test_the_triple_lane_change_has_two_windows_and_a_gain() -> None:
+def test_the_triple_lane_change_has_two_windows_and_a_gain():
     assert load_scenario("triple-lane-change").sample().n == 280
     full = load_scenario("triple-lane-change", window="full", wind_gain=1.0)
     assert full.sample().n == 460
@@ -141,7 +140,7 @@ def test_the_triple_lane_change_has_two_windows_and_a_gain() -> None:
     )
 
 
-def test_the_general_trajectory_has_the_published_signals() -> None:
+def test_the_general_trajectory_has_the_published_signals():
     test = load_scenario("general-trajectory")
     assert test.sample().n == 2000
     assert_array_equal(test.reference_at([0.0, 10.0, 49.0, 159.0, 200.0]), [0.0, 2.52, 56.11, 154.9, 103.84])
@@ -150,7 +149,7 @@ def test_the_general_trajectory_has_the_published_signals() -> None:
     assert_allclose(test.friction_at([0.0, 50.0, 164.0, 200.0])[:, 3], [0.95, 0.631, 0.55, 0.96])
 
 
-def test_the_general_trajectory_is_as_steep_as_the_original_and_smooth() -> None:
+def test_the_general_trajectory_is_as_steep_as_the_original_and_smooth():
     test = load_scenario("general-trajectory")
     rate = derivative(test.reference_at, np.arange(0.01, 199.99, 0.01))
     assert np.abs(rate).max() == pytest.approx(2.6, abs=0.05)
@@ -160,7 +159,7 @@ def test_the_general_trajectory_is_as_steep_as_the_original_and_smooth() -> None
 # ---- manoeuvres
 
 
-def test_every_name_loads_and_is_described_also_without_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_name_loads_and_is_described_also_without_docstrings(monkeypatch):
     from adaptrack.scenario import library, random_drives
 
     listed = list_scenarios()
@@ -174,7 +173,7 @@ def test_every_name_loads_and_is_described_also_without_docstrings(monkeypatch: 
         assert (load_scenario(name).name, load_scenario(name).description) == (name, description)
 
 
-def test_the_step_is_the_tuning_test_of_the_paper() -> None:
+def test_the_step_is_the_tuning_test_of_the_paper():
     signals = load_scenario("step", amplitude=-7.0, speed=22.0, friction=0.6, wind=-18.0).sample()
     assert signals.n == 180
     for values, constant in ((signals.y_ref, -7.0), (signals.speed, 22.0), (signals.friction, 0.6)):
@@ -183,7 +182,7 @@ def test_the_step_is_the_tuning_test_of_the_paper() -> None:
     assert load_scenario("step", amplitude=-7.0).initial_y == 0.0
 
 
-def test_the_lane_change_uses_35_percent_of_the_lowest_friction() -> None:
+def test_the_lane_change_uses_35_percent_of_the_lowest_friction():
     for amplitude, friction in ((7.0, 0.5), (-7.0, 0.9), (0.5, 0.9)):
         test = load_scenario("lane-change", amplitude=amplitude, friction=friction, gust=25.0)
         assert isinstance(test.reference, LaneChange)
@@ -196,24 +195,26 @@ def test_the_lane_change_uses_35_percent_of_the_lowest_friction() -> None:
     assert split.reference == load_scenario("lane-change", friction=0.4).reference
 
 
-def test_a_slow_lane_change_heads_at_most_a_quarter_radian_off_the_road() -> None:
+def test_a_slow_lane_change_heads_at_most_a_quarter_radian_off_the_road():
     test = load_scenario("lane-change", amplitude=5.0, friction=0.9, speed=4.0, duration=20.0)
     times = np.linspace(0.0, 20.0, 4001)
     assert np.abs(derivative(test.reference_at, times)).max() / 4.0 == pytest.approx(0.25, rel=1e-3)
 
 
-def test_the_double_lane_change_keeps_to_the_sections_of_the_track() -> None:
+def test_the_double_lane_change_keeps_to_the_sections_of_the_track():
     speed = 16.0
     test = load_scenario("double-lane-change", speed=speed, approach=0.5)
 
     def offset_at(metres: float) -> float:
         return float(test.reference_at(0.5 + metres / speed))
 
-    assert [offset_at(x) for x in (0.0, 15.0, 45.0, 70.0, 95.0, 125.0)] == pytest.approx([0, 0, 3.5, 3.5, 0, 0], abs=1e-12)
+    assert [offset_at(x) for x in (0.0, 15.0, 45.0, 70.0, 95.0, 125.0)] == pytest.approx(
+        [0, 0, 3.5, 3.5, 0, 0], abs=1e-12
+    )
     assert test.duration == pytest.approx(0.5 + 125.0 / speed + 2.0)
 
 
-def test_every_scenario_takes_the_common_options_and_has_the_defaults_that_are_listed() -> None:
+def test_every_scenario_takes_the_common_options_and_has_the_defaults_that_are_listed():
     for name in NAMES:
         test = load_scenario(name, speed=12.0, friction=[0.9, 0.4], wind={"x": -5.0}, duration=3.0, start_y=0.25)
         signals = test.sample()
@@ -230,7 +231,7 @@ def test_every_scenario_takes_the_common_options_and_has_the_defaults_that_are_l
 
 
 @pytest.mark.parametrize("period", [0.1, 0.03])
-def test_samples_are_the_functions_at_the_control_instants(period: float) -> None:
+def test_samples_are_the_functions_at_the_control_instants(period):
     for test in map(load_scenario, NAMES):
         signals = test.sample(period)
         n = round(test.duration / period)
@@ -243,7 +244,7 @@ def test_samples_are_the_functions_at_the_control_instants(period: float) -> Non
             assert values.flags.c_contiguous
 
 
-def test_instants_are_the_nearest_numbers_to_the_decimal_ones() -> None:
+def test_instants_are_the_nearest_numbers_to_the_decimal_ones():
     assert load_scenario("step").sample(0.1).t[3] == 0.3
     assert scenario(reference=Step(after=2.0, time=0.7)).sample(0.1).y_ref[7] == 2.0
 
@@ -273,13 +274,13 @@ GOOD_ARRAYS: dict[Any, dict[str, Any]] = {
     (Scenario.from_arrays, {"friction": np.ones((3, 3))}, r"must be \(3,\), \(3, 2\), \(3, 4\)"),
     (Scenario.from_arrays, {"speed": [1.0, -1.0, 1.0]}, "speed is -"),
 ])  # fmt: skip
-def test_arrays_that_no_simulation_can_use_are_refused(make: Any, changes: dict[str, object], message: str) -> None:
+def test_arrays_that_no_simulation_can_use_are_refused(make, changes, message):
     make(**GOOD_ARRAYS[make])
     with pytest.raises(InvalidInput, match=message):
         make(**(GOOD_ARRAYS[make] | changes))
 
 
-def test_signals_keep_their_own_copy_and_need_a_period_between_bounds() -> None:
+def test_signals_keep_their_own_copy_and_need_a_period_between_bounds():
     y_ref = np.zeros(3)
     signals = Signals(**(GOOD_ARRAYS[Signals] | {"y_ref": y_ref}))
     y_ref[:] = 7.0
@@ -292,7 +293,7 @@ def test_signals_keep_their_own_copy_and_need_a_period_between_bounds() -> None:
 # ---- friction and wind
 
 
-def test_friction_may_differ_by_side_and_by_wheel_and_wind_has_three_spellings_and_a_gain() -> None:
+def test_friction_may_differ_by_side_and_by_wheel_and_wind_has_three_spellings_and_a_gain():
     for friction, wheels in ((0.8, [0.8] * 4), ([0.8, 0.3], [0.8, 0.3] * 2), ([0.8, 0.7, 0.6, 0.5],) * 2):
         assert_array_equal(scenario(friction=friction).friction_at(1.0), wheels)
     lateral = scenario(wind=3.0)
@@ -301,7 +302,7 @@ def test_friction_may_differ_by_side_and_by_wheel_and_wind_has_three_spellings_a
     assert_array_equal(scenario(wind=[1.0, 3.0], wind_gain=2.0).wind_at(0.0), [2.0, 6.0])
 
 
-def test_the_last_patch_counts_while_it_lasts() -> None:
+def test_the_last_patch_counts_while_it_lasts():
     patches = (Patch(start=1.0, end=3.0, friction=0.5), Patch(start=2.0, end=4.0, friction=0.2, wheels="right"))
     friction = scenario(friction_patches=patches).friction_at([0.9, 1.0, 2.0, 3.0, 4.0])
     assert_array_equal(friction[:, 0], [0.8, 0.5, 0.5, 0.8, 0.8])
@@ -320,7 +321,7 @@ RICH = scenario(
 )  # fmt: skip
 
 
-def test_mirroring_exchanges_left_and_right_and_twice_is_identity() -> None:
+def test_mirroring_exchanges_left_and_right_and_twice_is_identity():
     for test in (RICH, *map(load_scenario, NAMES)):
         mirrored = test.mirrored()
         signals, mirror_image = test.sample(), mirrored.sample()
@@ -334,7 +335,7 @@ def test_mirroring_exchanges_left_and_right_and_twice_is_identity() -> None:
     assert load_scenario("sine", mirrored=True) == load_scenario("sine").mirrored()
 
 
-def test_another_duration_leaves_the_signals_alone() -> None:
+def test_another_duration_leaves_the_signals_alone():
     short, long = RICH.sample(), RICH.with_duration(20.0).sample()
     assert long.n == 200
     assert_array_equal(long.friction[: short.n + 1], short.friction)
@@ -343,7 +344,7 @@ def test_another_duration_leaves_the_signals_alone() -> None:
 # ---- arrays and files
 
 
-def test_arrays_become_signals_that_pass_through_them() -> None:
+def test_arrays_become_signals_that_pass_through_them():
     t = np.array([5.0, 6.0, 8.0, 9.0])
     test = Scenario.from_arrays(
         t, y_ref=[0.0, 1.0, 1.0, 4.0], speed=10.0, friction=np.array([[0.9, 0.5]] * 4),
@@ -356,7 +357,7 @@ def test_arrays_become_signals_that_pass_through_them() -> None:
     assert_array_equal(test.speed_at(1.5), 10.0)
 
 
-def test_a_scenario_survives_its_file_which_has_one_point_per_line(tmp_path: Path) -> None:
+def test_a_scenario_survives_its_file_which_has_one_point_per_line(tmp_path):
     path = tmp_path / "mine.toml"
     knots = scenario(name="mine", reference=Knots(points=POINTS), description="of [ 1, 2 ] things")
     for test in (RICH, *map(load_scenario, NAMES), knots):
@@ -366,7 +367,7 @@ def test_a_scenario_survives_its_file_which_has_one_point_per_line(tmp_path: Pat
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_may_use_numbers_and_shapes(tmp_path: Path) -> None:
+def test_a_file_may_use_numbers_and_shapes(tmp_path):
     path = tmp_path / "my-road.toml"
     path.write_text(
         """
@@ -393,7 +394,7 @@ def test_a_file_may_use_numbers_and_shapes(tmp_path: Path) -> None:
 CSV = "t,y_ref,speed,friction,wind_y\n0,0,10,0.8,3\n0.5,1,11,0.7,4\n2,1,12,0.7,5\n"
 
 
-def test_a_csv_file_becomes_a_scenario(tmp_path: Path) -> None:
+def test_a_csv_file_becomes_a_scenario(tmp_path):
     path = tmp_path / "drive.csv"
     path.write_text("\ufeff# recorded in the rain\n" + CSV + "\n", encoding="utf-8")
     test = load_scenario(path, wind_gain=2.0)
@@ -404,7 +405,7 @@ def test_a_csv_file_becomes_a_scenario(tmp_path: Path) -> None:
     assert_allclose(test.friction_at(0.0), 0.8)
 
 
-def test_a_csv_file_may_split_friction_and_wind(tmp_path: Path) -> None:
+def test_a_csv_file_may_split_friction_and_wind(tmp_path):
     path = tmp_path / "drive.csv"
     path.write_text("t,y_ref,speed,friction_right,friction_left,wind_x,wind_y\n0,0,9,0.3,0.8,1,2\n1,0,9,0.3,0.8,1,2\n")
     test = Scenario.from_csv(path)
@@ -444,9 +445,7 @@ GOOD_FILES = {"drive.csv": CSV, "road.toml": "duration = 5.0\nreference = 1.0\ns
     ("road.toml", "0.8", PATCH.format(3.0, ", wheels = 'l'"), "'left'"),
     ("road.toml", "= 5.0", "5.0", "line 1"),
 ])  # fmt: skip
-def test_a_bad_file_is_refused_with_its_place_and_remedy(
-    tmp_path: Path, name: str, old: str, new: str, message: str
-) -> None:
+def test_a_bad_file_is_refused_with_its_place_and_remedy(tmp_path, name, old, new, message):
     (tmp_path / name).write_text(GOOD_FILES[name])
     load_scenario(tmp_path / name)
     (tmp_path / name).write_text(GOOD_FILES[name].replace(old, new))
@@ -472,8 +471,6 @@ def test_a_bad_file_is_refused_with_its_place_and_remedy(
     ("sine", {"frequency": -1.0}, InvalidInput, "frequency"),
     ("step", {"mirrored": "no"}, InvalidInput, "mirrored"),
 ])  # fmt: skip
-def test_unknown_names_and_impossible_options_are_refused(
-    name: str, options: dict[str, object], error: type[Exception], words: str
-) -> None:
+def test_unknown_names_and_impossible_options_are_refused(name, options, error, words):
     with pytest.raises(error, match=words):
         load_scenario(name, **options)
