@@ -40,11 +40,11 @@ def test_below_the_limit_the_plant_holds_a_circle_and_above_it_does_not(name):
         [Line(length=30.0), Clothoid(length=60.0, start_curvature=0.0, end_curvature=1 / radius),
          Arc(length=350.0, curvature=1 / radius)], name="circle", friction=0.9,
     )  # fmt: skip
+    speeds = [math.sqrt(share * limit * radius) for share in (0.9, 1.15)]
     below, lost = (
-        at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.RoadDrive(circle, math.sqrt(share * limit * radius)),
-                profile="road")
-        for share in (0.9, 1.15)
-    )  # fmt: skip
+        at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.RoadDrive(circle, speed), profile="road")
+        for speed in speeds
+    )
     assert below.failed is None
     assert np.abs(below.error).max() < 0.25
     assert lost.failed is not None or np.abs(lost.error).max() > 0.5

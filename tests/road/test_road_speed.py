@@ -303,15 +303,3 @@ def test_plot_writes_a_picture(run_command, tmp_path, monkeypatch):
     assert code == 0
     assert str(tmp_path / "a.png") in out
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(("arguments", "words"), [
-    ("check contry", "Did you mean 'country'"),
-    ("check country --speed 5 --lateral-acceleration 3", "give only one of them"),
-    ("check country --speed 5 --speed-column v", "--speed and --speed-column: give only one"),
-    ("plot country --vehicle papr", "paper"),
-])  # fmt: skip
-def test_what_cannot_be_done_is_one_sentence(run_command, arguments, words):
-    code, _, err = run_command("road", *arguments.split())
-    assert code == 2
-    assert words in err
