@@ -26,7 +26,7 @@ TRUTH = {
 }  # fmt: skip
 
 
-def scaled(signals: tuple[str, ...], speed: float | None = None, duration: float = 60.0) -> dict[str, np.ndarray]:
+def scaled(signals: tuple[str, ...], speed: float | None = None, duration: float = 40.0) -> dict[str, np.ndarray]:
     """A log whose steering angles are `SCALE` times those of the road wheels."""
     drive = driven(duration, speed=speed, noise=0.001)
     angles = {name: SCALE * drive[name] for name in signals}
@@ -63,7 +63,7 @@ def test_a_log_read_with_its_scale_as_ratio_has_a_scale_of_1_and_the_car_file_ha
 
 @pytest.mark.compiled
 def test_bends_at_one_speed_leave_the_scale_its_prior_and_widen_understeer_and_two_speeds_tell_both():
-    slow, fast = (scaled(("wheel",), speed, 40.0) for speed in (8.0, 16.0))
+    slow, fast = (scaled(("wheel",), speed, 25.0) for speed in (8.0, 16.0))
     one_speed = at.identify(fast, CAR)
     assert one_speed["angle_scale"].value == pytest.approx(1.0)
     assert one_speed["angle_scale"].spread_left == pytest.approx(1.0, abs=0.02)
@@ -77,11 +77,11 @@ def test_bends_at_one_speed_leave_the_scale_its_prior_and_widen_understeer_and_t
 
 # -- delays of 0, intervals beyond the prior --------------------------------------------------------------------------
 def simulated(lag: float, dead_time: float) -> dict[str, np.ndarray]:
-    """80 s of a single-track vehicle without relaxing tyres, in steps of 5 ms."""
+    """50 s of a single-track vehicle without relaxing tyres, in steps of 5 ms."""
     mass, inertia, lf, lr, front, rear, step = 1500.0, 2500.0, 1.1, 1.6, 110e3, 130e3, 0.005
     rng, rows, queue = np.random.default_rng(4), [], [0.0] * (round(dead_time / step) + 1)
     vy = r = wheel = 0.0
-    for k in range(1600):
+    for k in range(1000):
         t = 0.05 * k
         command = 0.02 * math.sin(0.9 * t) + 0.012 * math.sin(2.3 * t + 1) + 0.01 * math.sin(0.31 * t)
         speed = 14.0 + 3.0 * math.sin(0.1 * t)

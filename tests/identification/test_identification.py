@@ -172,7 +172,7 @@ def test_the_written_car_turns_on_the_plant_as_its_model_says(answer, tmp_path):
 @pytest.mark.compiled
 def test_a_log_becomes_a_car_that_drives(tmp_path):
     car = at.load_vehicle("midsize-sedan")
-    run = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.random_drive(5, 60.0), profile="road")
+    run = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.random_drive(5, 40.0), profile="road")
     run.save(tmp_path / "log.parquet")
     mine = tmp_path / "mine.toml"
     options = ["--mass", f"{car.mass}", "--wheelbase", f"{car.wheelbase}", "--out", str(mine)]
@@ -193,7 +193,7 @@ def test_a_log_becomes_a_car_that_drives(tmp_path):
 @pytest.mark.compiled
 @pytest.mark.parametrize("turning", [("yaw_rate",), ("yaw_rate", "wheel")])
 def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning):
-    drive, ratio = driven(60.0), 15.2
+    drive, ratio = driven(40.0), 15.2
     log = {name: drive[name] for name in ("time", "speed", *turning)}
     log["steering_wheel_angle"] = ratio * (drive["wheel"] - BIAS)
     likelihood = prepare(log, CAR)
@@ -204,7 +204,7 @@ def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning):
 
 @pytest.mark.compiled
 def test_a_steering_ratio_that_a_log_at_one_speed_does_not_tell_is_said_to_be_open():
-    drive = driven(40.0, speed=20.0)
+    drive = driven(25.0, speed=20.0)
     log = {name: drive[name] for name in ("time", "speed", "yaw_rate")} | {"swa": 15.2 * drive["wheel"]}
     answer = at.identify(log, CAR)
     assert answer["ratio"].low < 15.2 < answer["ratio"].high
@@ -281,7 +281,7 @@ def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth():
 
 @pytest.mark.compiled
 def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyres():
-    drive = driven(40.0)
+    drive = driven(30.0)
     late = np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])
     likelihood = prepare({k: drive[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
     estimates = estimates_of(fit_log(likelihood))[0]
@@ -302,13 +302,13 @@ def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found():
 
 @pytest.mark.compiled
 def test_at_even_speed_offset_and_gyro_are_said_to_be_inseparable():
-    answer = at.identify(base(40.0, speed=15.0), CAR)
+    answer = at.identify(base(25.0, speed=15.0), CAR)
     assert any("known in sum only" in sentence for sentence in answer.findings)
 
 
 @pytest.mark.compiled
 def test_without_a_command_the_delay_is_said_to_be_unseen():
-    drive = driven(40.0)
+    drive = driven(25.0)
     answer = at.identify({k: drive[k] for k in ("time", "wheel", "speed", "yaw_rate")}, CAR)
     assert "delay" not in answer.estimates
     assert any("no steering command" in sentence for sentence in answer.findings)

@@ -26,10 +26,10 @@ RATIO = 15.0
 
 @cache
 def motorway() -> dict[str, Any]:
-    """A minute straight on in gusts: a driver who keeps the lane by a steering wheel whose angle is logged."""
+    """45 s straight on in gusts: a driver who keeps the lane by a steering wheel whose angle is logged."""
     rng, step, speed, look, late = np.random.default_rng(0), 0.01, 31.0, 30.0, 20
     front, rear = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
-    count = round(70.0 / step)
+    count = round(45.0 / step)
     vy = r = yaw = y = gust = 0.0
     wheel, rate = np.zeros(count + late), np.zeros(count)
     for k in range(count):
@@ -147,7 +147,7 @@ def test_names_in_a_comment_are_read(tmp_path):
 
 # -- what is not told, what contradicts -------------------------------------------------------------------------------
 def test_the_delay_of_a_command_alone_is_said_to_end_at_the_logged_yaw_rate():
-    answer = at.identify(base(40.0), CAR)
+    answer = at.identify(base(25.0), CAR)
     assert answer.consistent
     assert "to the logged yaw rate" in answer["delay"].meaning
     assert any("cannot tell a late yaw rate" in finding for finding in answer.findings)
@@ -166,7 +166,7 @@ def test_a_ratio_from_a_log_without_bends_is_not_accepted(tmp_path):
 
 @pytest.mark.parametrize("factor", [1.3, 1.0 / 1.3])
 def test_a_steering_ratio_that_is_wrong_by_30_percent_is_said(factor):
-    drive = base()
+    drive = base(40.0)
     answer = at.identify(drive | {"command": factor * drive["command"]}, CAR)
     (sentence,) = [reason for reason in answer.reasons if "ratio is wrong" in reason]
     assert f"turn {1.0 / factor:.2f}" in sentence
@@ -194,7 +194,7 @@ def test_chance_is_no_contradiction():
 
 @pytest.mark.compiled
 def test_logs_of_one_car_tell_more_than_each_of_them():
-    answer = at.identify([base(40.0, 1), base(40.0, 2)], CAR)
+    answer = at.identify([base(30.0, 1), base(30.0, 2)], CAR)
     assert answer.consistent, answer.reasons
     truth = {"delay": LAG + DEAD_TIME, "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear}
     for name, true in truth.items():
@@ -209,9 +209,9 @@ def test_logs_of_one_car_tell_more_than_each_of_them():
 def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothing(tmp_path):
     import pyarrow.parquet
 
-    other = base(40.0, 2)
+    other = base(25.0, 2)
     other["command"] = np.append(other["command"][3:], other["command"][-3:])
-    for name, log in (("a", base(40.0, 1)), ("b", other)):
+    for name, log in (("a", base(25.0, 1)), ("b", other)):
         pyarrow.parquet.write_table(pyarrow.table(log), tmp_path / f"{name}.parquet")
     mine = tmp_path / "mine.toml"
     words = ["identify", *(str(tmp_path / f"{name}.parquet") for name in "ab"), "--out", str(mine)]

@@ -26,7 +26,7 @@ def test_a_laws_own_tuning_lies_in_its_space_and_every_tuning_there_makes_one(la
     space = search_space(law)
     assert space.names == law.tuning_names
     assert space.contains(law.packed_tuning())
-    for row in Swarm(space, seed=3).ask():
+    for row in Swarm(space, seed=3).ask()[:6]:
         entries = dict(zip(space.names, row.tolist(), strict=True))
         np.testing.assert_array_equal(
             law.with_tuning(entries).parameters(), type(law)(CAR, preview=True, **entries).parameters()
