@@ -57,8 +57,7 @@ def test_train_saves_a_scheduler_that_simulate_drives_with(run_command, tmp_path
     assert (tmp_path / "sine-fuzzy.parquet").exists()
 
 
-def test_reproduce_writes_the_page_and_prints_its_rows(run_command, monkeypatch, tmp_path, data):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+def test_reproduce_writes_the_page_and_prints_its_rows(run_command, tmp_path, data):
     code, out, err = run_command("paper", "reproduce", "--quick", "--data", data, "--out", tmp_path, "--json")
     result = json.loads(out)
     assert code == 0, err
@@ -75,8 +74,7 @@ def test_reproduce_writes_the_page_and_prints_its_rows(run_command, monkeypatch,
     assert "index.html" in err
 
 
-def test_a_campaign_is_run_described_and_written_on_a_page(run_command, monkeypatch, tmp_path):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+def test_a_campaign_is_run_described_and_written_on_a_page(run_command, tmp_path):
     file, out = tmp_path / "small.toml", tmp_path / "out"
     small_campaign().to_toml(file)
     arguments = ("paper", "campaign", file, "--out", out, "--workers", "1", "--json")

@@ -47,7 +47,6 @@ def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
     assert result["schedulers"] == str(folder / "schedulers")
     assert [row["contender"] for row in result["rows"]] == ["nn", "anfis"]
 
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     monkeypatch.setattr("adaptrack.results.evaluation.SURFACE_NODES", (9, 7))
     page = tmp_path / "page"
     command = ("paper", "evaluate", folder, "--campaign", chain.file, "--operating-points", 4, "--drives", 1, "--tests",
@@ -70,7 +69,6 @@ def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
 def few_points(monkeypatch):
     """Certificates of eight points."""
     monkeypatch.setattr("adaptrack.analysis.certify.certify", partial(certify, levels=(4, 2)))
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
 
 
 def test_certify_passes_a_sound_scheduler_and_prints_the_points_nearest_to_instability(

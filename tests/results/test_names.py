@@ -43,8 +43,7 @@ def test_any_name_is_driven_saved_loaded_and_printed(run_command, monkeypatch, t
     assert name[:6] in out or not name.isprintable() or name == " "
 
 
-def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path):
     names = list(NASTY.values())
     runs = [Run(drive(n=40, scenario=names[i % 3]), label=name) for i, name in enumerate(names)]
     page = write_drive_page(tmp_path, runs, title="\ud800 [/red] $\0", command="drive '\ud800'")

@@ -135,8 +135,7 @@ def objects():
 
 
 @pytest.mark.parametrize("which", ["car", "schedule", "constant", "data", "comparison"])
-def test_what_one_looks_at_shows_numbers_and_a_picture_with_nothing_from_outside(which, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+def test_what_one_looks_at_shows_numbers_and_a_picture_with_nothing_from_outside(which):
     shown, words = objects()[which]
     text = shown._repr_html_()
     assert all(each in text for each in words)

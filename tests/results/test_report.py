@@ -301,10 +301,9 @@ def test_figures_have_the_papers_panels_with_units():
         assert re.search(r"\(.+\)$", axes.get_ylabel()), axes.get_ylabel()
 
 
-@pytest.mark.drawn
 def test_legends_cover_no_curve():
     figure = figure_of(tracking_picture, {f"controller {i}": drive(scale=1 + 0.1 * i) for i in range(8)})
-    style.png(figure)  # settles the layout
+    figure.draw_without_rendering()  # settles the layout
     legend = figure.legends[0].get_window_extent()
     assert all(not legend.overlaps(axes.get_window_extent()) for axes in figure.axes)
 

@@ -297,8 +297,7 @@ def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(run_
 
 
 @pytest.mark.drawn
-def test_plot_writes_a_picture(run_command, tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+def test_plot_writes_a_picture(run_command, tmp_path):
     code, out, _ = run_command("road", "plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
     assert code == 0
     assert str(tmp_path / "a.png") in out
