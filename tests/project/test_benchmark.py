@@ -39,10 +39,9 @@ QUICK = (
     "against_release.py . --only arrays/road-geometry --folder {folder}",
     "circuits.py --made 1 --no-holds --car midsize-sedan --profile road --lateral 4 --seed 5",
     "code_figures.py --table", "estimating.py --runs 1", "foreign_loop.py --seeds 1",
-    "late_samples.py late --drives 1", "learned_belief.py --train 28 --test 4",
-    "population.py --cars 10", "roads_driven.py gate --length 300 --car paper",
-    "tuned_cars.py --vehicle van --profile road", "unknown_cars.py --cars 2 --profile road",
-    "wrong_inputs.py honest --drives 1",
+    "learned_belief.py --train 28 --test 4", "population.py --cars 10",
+    "roads_driven.py gate --length 300 --car paper", "tuned_cars.py --vehicle van --profile road",
+    "unknown_cars.py --cars 2 --profile road", "wrong_inputs.py honest --drives 1",
 )  # fmt: skip
 """Benchmarks with the arguments of their quick form."""
 
