@@ -15,7 +15,7 @@ from adaptrack.identification.consistency import implausible_estimates
 from adaptrack.identification.outliers import find_samples
 from adaptrack.identification.reading import read_columns
 from adaptrack.results.identify import identification_result
-from identification.known_logs import CAR, driven
+from identification.logs import CAR, driven
 
 pytestmark = pytest.mark.kernels
 

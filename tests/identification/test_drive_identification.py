@@ -16,7 +16,7 @@ from adaptrack.core.identification import drive as kernel
 from adaptrack.identification import DriveIdentification, identify_drive
 from adaptrack.identification.hypotheses import Evidence, compare
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
-from identification.known_logs import write_csv
+from identification.logs import write_csv
 from pedal_cars import BRAKE_DEAD_TIME, BRAKE_LAG, DRIVE_DEAD_TIME, DRIVE_LAG, PedalCar
 
 pytestmark = pytest.mark.kernels

@@ -23,18 +23,7 @@ from adaptrack.identification.log_fit import fit_log
 from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import read_columns
-from identification.known_logs import (
-    BIAS,
-    CAR,
-    DEAD_TIME,
-    LAG,
-    PERIOD,
-    RELAXATION,
-    base,
-    check_signals,
-    driven,
-    integrated,
-)
+from identification.logs import BIAS, CAR, DEAD_TIME, LAG, PERIOD, RELAXATION, base, check_signals, driven, integrated
 
 pytestmark = pytest.mark.kernels
 

@@ -19,7 +19,7 @@ from adaptrack.identification.hypotheses import Evidence, drop_computed_columns,
 from adaptrack.identification.log import SHORTENED, log_of, shorten_log
 from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.reading import Reading, read_columns
-from identification.known_logs import BIAS, CAR, DEAD_TIME, LAG, PERIOD, base, check_signals, driven, held, write_csv
+from identification.logs import BIAS, CAR, DEAD_TIME, LAG, PERIOD, base, check_signals, driven, held, write_csv
 
 RATIO = 15.0
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli.app import app
 from adaptrack.identification.reading import Reading, read_columns
-from identification.known_logs import write_csv
+from identification.logs import write_csv
 
 PERIOD, ROWS = 0.05, 600
 TIME = PERIOD * np.arange(ROWS)
