@@ -13,27 +13,23 @@ from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.results.notebook import run_figure
 from adaptrack.results.record import REPLAYED_SIGNALS, DrawnCar, DriveRecord
 from adaptrack.results.record import on_road as place_on_road
 from adaptrack.road import generate_road
+from made_drives import trajectory
 
 
 def driven(road, /, *, laps=1.0, offset=0.2, **more):
     """A run at 10 m/s, `offset` m to the left of the centre line."""
     t = 0.1 * np.arange(int(laps * road.length))
     place = road.at(10.0 * t)
-    values = {
-        column.name: np.zeros((t.size, len(column.parts)) if column.parts else t.size) for column in TRAJECTORY_COLUMNS
-    }
-    values |= {
+    columns = {
         "t": t, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
         "psi": place.heading, "vx": np.full(t.size, 10.0), "v_ref": np.full(t.size, 10.0),
-        "held": np.zeros(t.size, bool),
     }  # fmt: skip
     meta = {"scenario": "<lap>", "controller": "informed", "vehicle": {"name": "paper"}, "profile": "road"}
-    return Trajectory(**(values | more), period=0.1, meta=meta)
+    return trajectory(columns | more, period=0.1, meta=meta)
 
 
 @pytest.fixture(scope="module")

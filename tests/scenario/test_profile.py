@@ -48,35 +48,15 @@ def test_the_profile_of_a_bus_is_production_with_all_samples_late():
     *(
         (lambda field=field, value=value: at.Profile(name="own", **{field: value}), at.InvalidInput, field)
         for field in (
-            "noise_y",
-            "bias_yaw_rate",
-            "pose_age",
-            "missing",
-            "move_weight",
-            "delay",
-            "noise_station",
-            "speed_resolution",
-            "speed_dead_zone",
-            "speed_age",
-            "motion_age_spread",
+            "noise_y", "bias_yaw_rate", "pose_age", "missing", "move_weight", "delay", "noise_station",
+            "speed_resolution", "speed_dead_zone", "speed_age", "motion_age_spread",
         )
         for value in (-0.1, math.nan, True)
     ),
-    (
-        lambda: at.Profile(name="own", motion_age=0.01, motion_age_spread=0.02),
-        at.InvalidInput,
-        "not exceed motion_age = 0.01",
-    ),
-    (
-        lambda: BUS.replace(speed_age=0.01),
-        at.InvalidInput,
-        "speed_age = 0.01 s: must be 0, or at least motion_age_spr",
-    ),
-    (
-        lambda: BUS.replace(station_age=0.01),
-        at.InvalidInput,
-        "station_age = 0.01 s: must be 0, or at least pose_age_sp",
-    ),
+    (lambda: at.Profile(name="own", motion_age=0.01, motion_age_spread=0.02), at.InvalidInput,
+     "not exceed motion_age = 0.01"),
+    (lambda: BUS.replace(speed_age=0.01), at.InvalidInput, "speed_age = 0.01 s: must be 0, or at least motion_age_spr"),
+    (lambda: BUS.replace(station_age=0.01), at.InvalidInput, "station_age = 0.01 s: must be 0, or at least pose_age_s"),
 ])  # fmt: skip
 def test_impossible_profiles_are_refused(make, error, words):
     with pytest.raises(error, match=words):
