@@ -77,11 +77,11 @@ def test_bends_at_one_speed_leave_the_scale_its_prior_and_widen_understeer_and_t
 
 # -- delays of 0, intervals beyond the prior --------------------------------------------------------------------------
 def simulated(lag: float, dead_time: float) -> dict[str, np.ndarray]:
-    """50 s of a single-track vehicle without relaxing tyres, in steps of 5 ms."""
+    """35 s of a single-track vehicle without relaxing tyres, in steps of 5 ms."""
     mass, inertia, lf, lr, front, rear, step = 1500.0, 2500.0, 1.1, 1.6, 110e3, 130e3, 0.005
     rng, rows, queue = np.random.default_rng(4), [], [0.0] * (round(dead_time / step) + 1)
     vy = r = wheel = 0.0
-    for k in range(1000):
+    for k in range(700):
         t = 0.05 * k
         command = 0.02 * math.sin(0.9 * t) + 0.012 * math.sin(2.3 * t + 1) + 0.01 * math.sin(0.31 * t)
         speed = 14.0 + 3.0 * math.sin(0.1 * t)

@@ -161,7 +161,7 @@ def test_the_written_car_turns_on_the_plant_as_its_model_says(answer, tmp_path):
 @pytest.mark.compiled
 def test_a_log_becomes_a_car_that_drives(tmp_path):
     car = at.load_vehicle("midsize-sedan")
-    run = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.random_drive(5, 40.0), profile="road")
+    run = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.random_drive(5, 30.0), profile="road")
     run.save(tmp_path / "log.parquet")
     mine = tmp_path / "mine.toml"
     options = ["--mass", f"{car.mass}", "--wheelbase", f"{car.wheelbase}", "--out", str(mine)]
@@ -235,9 +235,9 @@ def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer):
 
 @cache
 def gusty(seed: int) -> dict[str, np.ndarray]:
-    """100 s behind a driver, in Ornstein-Uhlenbeck gusts that act far ahead; the delay is 0.13 s."""
-    rng, step, steps, speed, reach = np.random.default_rng(seed), 0.005, 20000, 20.0, 24.0
-    white, time = rng.standard_normal(steps), 0.005 * np.arange(20000)
+    """70 s behind a driver, in Ornstein-Uhlenbeck gusts that act far ahead; the delay is 0.13 s."""
+    rng, step, steps, speed, reach = np.random.default_rng(seed), 0.005, 14000, 20.0, 24.0
+    white, time = rng.standard_normal(steps), 0.005 * np.arange(steps)
     bends = sum(
         a * np.sin(math.tau * f * time + p) for a, f, p in ((0.004, 0.07, 0), (0.003, 0.31, 1), (0.002, 0.53, 0))
     )

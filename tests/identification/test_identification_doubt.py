@@ -226,8 +226,8 @@ def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothin
 
 
 def slowly_steered() -> dict[str, np.ndarray]:
-    """A minute at 22 m/s, steered below 0.6 Hz, behind a lag of 0.32 s and a dead time of 0.1 s."""
-    rng, time, lag, speed = np.random.default_rng(1), PERIOD * np.arange(1200), 0.32, 22.0
+    """40 s at 22 m/s, steered below 0.6 Hz, behind a lag of 0.32 s and a dead time of 0.1 s."""
+    rng, time, lag, speed = np.random.default_rng(1), PERIOD * np.arange(800), 0.32, 22.0
     waves = rng.uniform(0.03, 0.6, 8), rng.uniform(0.0, math.tau, 8)
     command = 0.012 * np.sin(math.tau * np.outer(time, waves[0]) + waves[1]).sum(axis=1) / math.sqrt(8)
     front, rear = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
