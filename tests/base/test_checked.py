@@ -193,9 +193,9 @@ def unchecked(path: Path) -> list[str]:
         for target in statement.targets
         if isinstance(target, ast.Name)
     }
-    result = []
+    result, checks_parameters = [], "check_parameters" in names_in(module)
     for node in ast.walk(module):
-        if isinstance(node, ast.FunctionDef) and node.name == "__init__" and "check_parameters" in names_in(module):
+        if isinstance(node, ast.FunctionDef) and node.name == "__init__" and checks_parameters:
             continue
         if isinstance(node, ast.FunctionDef):
             parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]

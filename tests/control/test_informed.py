@@ -188,7 +188,7 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
     """NIS and NEES (Bar-Shalom, Li and Kirubarajan 2001, section 5.4) average inside their 95 % bounds."""
     model, drifts = at.PathModel(CAR, PERIOD, lag), at.Drifts(yaw=0.01, y=0.05, sliding=0.0)
     nis, nees = [], []
-    for _ in range(40):
+    for _ in range(20):
         kalman = at.KalmanFilter(drifts=drifts, bound=math.inf)
         textbook = TextbookFilter(kalman, model)
         f, b = textbook.matrices(18.0, PERIOD)
