@@ -152,16 +152,16 @@ def test_other_separators_and_columns_are_read_and_said(tmp_path):
     assert "in line" in road.notes[0]
 
 
-def raceline(path, speeds, title="vx_mps"):
-    """A race line of 100 m along x with a point every 10 m."""
-    rows = [f"{10.0 * k}; {10.0 * k}; 0.0; {speed}" for k, speed in enumerate(speeds)]
-    path.write_text(f"# 3f2a\n# s_m; x_m; y_m; {title}\n" + "\n".join(rows) + "\n")
-    return path
+def raceline(speeds, title="vx_mps"):
+    """The text of a race line of 100 m along x with a point every 10 m."""
+    rows = [f"{10.0 * k}; {10.0 * k}; 0.0; {speed}\n" for k, speed in enumerate(speeds)]
+    return f"# 3f2a\n# s_m; x_m; y_m; {title}\n" + "".join(rows)
 
 
 def test_the_speed_of_a_race_line_becomes_the_limit_and_the_plan(tmp_path):
     speeds = [8.0, 10.0, 14.0, 14.0, 20.0, 30.0, 30.0, 20.0, 10.0, 10.0, 5.0]
-    path = raceline(tmp_path / "line.csv", speeds, "Vx [m/s]")
+    path = tmp_path / "line.csv"
+    path.write_text(raceline(speeds, "Vx [m/s]"))
     road = at.load_road(path, speed_column="vx")
     s = np.arange(0.0, 101.0, 10.0)
     np.testing.assert_allclose(road.along("speed_limit", s), speeds, atol=1e-6)
@@ -171,21 +171,6 @@ def test_the_speed_of_a_race_line_becomes_the_limit_and_the_plan(tmp_path):
     assert at.load_road(path).speed_limit is None
     with pytest.raises(at.InvalidInput, match="has no speed limit"):
         speed_limit_plan(at.load_road(path))
-
-
-@pytest.mark.parametrize(("speed", "title", "column", "words"), [
-    ("nan", "vx_mps", "vx_mps", "line 7: 'nan' is not a finite number"),
-    ("-3", "vx_mps", "vx_mps", "line 7: vx_mps = -3: must be > 0 and at most 100 m/s"),
-    ("180", "vx_mps", "vx_mps", "line 7: vx_mps = 180: .* at most 100 m/s"),
-    ("50", "v_kmh", "v_kmh", "line 2: column 'v_kmh': must be in m/s; convert"),
-    ("50", "v [rad/s]", "v", "must be in m/s; convert"),
-    ("50", "vx_mps", "vx_mp", "line 2: no single column is 'vx_mp': Did you mean 'vx_mps'"),
-    ("50", "x_m", "x_m", "there are two of them"),
-])  # fmt: skip
-def test_a_column_that_is_no_speed_is_refused(tmp_path, speed, title, column, words):
-    path = raceline(tmp_path / "line.csv", [8.0] * 4 + [speed] + [8.0] * 4, title)
-    with pytest.raises(at.ConfigError, match=words):
-        at.load_road(path, speed_column=column)
 
 
 @pytest.mark.parametrize(("name", "option", "error", "words"), [
@@ -209,20 +194,27 @@ SHAPES = (
 )
 
 
-def xodr(path, lanes="", before="", after="", origin=(0.0, 0.0)):
-    """A file of one road: line, spiral, arc."""
-    road = at.Road.from_segments([segment for segment, _ in SHAPES], start=(*origin, 0.3))
+def xodr_road(origin=(0.0, 0.0)):
+    return at.Road.from_segments([segment for segment, _ in SHAPES], start=(*origin, 0.3))
+
+
+def xodr_text(lanes="", before="", after="", **place):
+    """The text of a file of one road: line, spiral, arc."""
+    road = xodr_road(**place)
     s, text = 0.0, ""
     for segment, shape in SHAPES:
         p = road.at(s)
         text += f'<geometry s="{s!r}" x="{float(p.x)!r}" y="{float(p.y)!r}" hdg="{float(p.heading)!r}" '
         text += f'length="{segment.length!r}">{shape}</geometry>'
         s += segment.length
-    path.write_text(
-        f'<OpenDRIVE><road name="r" id="7" length="{s}">{before}<planView>{text}</planView>{after}{lanes}'
-        "</road></OpenDRIVE>"
-    )
-    return path, road
+    road = f'<road name="r" id="7" length="{s}">{before}<planView>{text}</planView>{after}{lanes}</road>'
+    return f"<OpenDRIVE>{road}</OpenDRIVE>"
+
+
+def xodr(path, lanes="", *, origin=(0.0, 0.0), **parts):
+    """The file of `xodr_text`, and its road."""
+    path.write_text(xodr_text(lanes, origin=origin, **parts))
+    return path, xodr_road(origin)
 
 
 LANES = """<lanes><laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="20" a="0" b="0" c="0.0075" d="-0.00025"/>
@@ -301,28 +293,11 @@ def test_a_side_of_the_line_without_driving_lanes_is_noted(tmp_path):
     )
 
 
-def test_lanes_and_shapes_that_do_not_fit_are_named(tmp_path):
-    path, _ = xodr(tmp_path / "a.xodr", LANES)
-    wrong_options = {"there is no lane -3; there are -2, -1": -3, "run with the road": 1}
-    for words, lane in wrong_options.items():
-        with pytest.raises(at.ConfigError, match=words):
-            at.load_road(path, lane=lane)
-    with pytest.raises(at.ConfigError, match="no road has the id 'c'"):
-        at.load_road(path, road="c")
-    path.write_text(path.read_text().replace('hdg="0.3"', 'hdg="0.4"', 1))
-    with pytest.raises(at.ConfigError, match="10 m apart at s = 100"):
-        at.load_road(path)
-
-
-def test_a_road_has_at_most_two_thousand_kilometres_and_lies_on_the_earth(tmp_path):
+def test_a_road_has_at_most_two_thousand_kilometres():
     bent = {"x": (0.0, 3e5, 0.0, 0.0), "y": (0.0, 0.0, 0.0, 3e5)}
     assert at.Road.from_segments([Cubic(**bent)]).length < 1e6
     with pytest.raises(at.InvalidInput, match=r"length = 3e\+06: at most 2,000,000 m"):
         at.Road.from_segments([Line(length=1e6)] * 3)
-    path, _ = xodr(tmp_path / "a.xodr")
-    path.write_text(path.read_text().replace('x="0.0"', 'x="1e300"', 1))
-    with pytest.raises(at.ConfigError, match=r"a coordinate of 1e\+300 m: at most 1e\+08 m"):
-        at.load_road(path)
 
 
 # -- what OpenDRIVE says of lanes and the surface ----------------------------------------------------------------------
@@ -342,15 +317,23 @@ def section(s, *lanes, **attributes):
     return f'<laneSection s="{s}" {words}>{groups}</laneSection>'
 
 
-def straight_road(path, *sections, view=LINES, before="", head="", **attributes):
-    """A file of one road, by default a straight line of 200 m with a lane on each side."""
+def straight_text(*sections, view=LINES, before="", head="", **attributes):
+    """The text of a file of one road, by default a straight line of 200 m with a lane on each side."""
     words = " ".join(f'{key}="{value}"' for key, value in attributes.items())
     lanes = "".join(sections) or section(0, lane_text(1), lane_text(-1))
-    path.write_text(
+    return (
         f'<OpenDRIVE>{head}<road id="1" length="200" {words}>{before}<planView>{view}</planView><lanes>{lanes}</lanes>'
         "</road></OpenDRIVE>"
     )
+
+
+def straight_road(path, *sections, **parts):
+    """The file of `straight_text`."""
+    path.write_text(straight_text(*sections, **parts))
     return path
+
+
+EMPTY = '<geometry s="100" x="100" y="0" hdg="0" length="0"><line/></geometry>'
 
 
 def profile(text):
@@ -455,9 +438,6 @@ def test_gaps_of_up_to_ten_centimetres_are_closed_and_noted(tmp_path, lane):
     assert "closed: 2, the largest 0.0900 m at s = 150.00 m; the line moves by up to 0.114 m" in road.notes[0]
     road.to_toml(tmp_path / "road.toml")
     np.testing.assert_allclose(at.load_road(tmp_path / "road.toml").at(170.0), road.at(170.0), atol=1e-9)
-    straight_road(path, view=gap_view((0, 0), (0.0, 0.11)))
-    with pytest.raises(at.ConfigError, match=r"0.11 m apart at s = 50.00 m"):
-        at.load_road(path)
 
 
 def test_a_lap_with_gaps_stays_a_lap(tmp_path):
@@ -476,19 +456,16 @@ def test_a_lap_with_gaps_stays_a_lap(tmp_path):
 
 
 def test_elements_of_length_zero_and_elements_beyond_the_end_are_left_out_and_noted(tmp_path):
-    empty = '<geometry s="100" x="100" y="0" hdg="0" length="0"><line/></geometry>'
     limits = ((0, 90), (200, 50), (225, 30))
     types = "".join(f'<type s="{s}" type="town"><speed max="{limit}" unit="km/h"/></type>' for s, limit in limits)
     lanes = section(0, lane_text(-1)), section(210, lane_text(-1, width=9.0))
-    road = at.load_road(straight_road(tmp_path / "a.xodr", *lanes, view=LINES + empty, before=types), lane=-1)
+    road = at.load_road(straight_road(tmp_path / "a.xodr", *lanes, view=LINES + EMPTY, before=types), lane=-1)
     assert road.length == pytest.approx(200.0)
     assert road.along("speed_limit", [0.0, 200.0]).tolist() == [25.0, 25.0]
     assert float(road.along("width_left", 200.0)) == 1.75
     assert "length 0 are left out, at s = 100.00 m" in road.notes[0]
     for place in ("type at s = 200.00 m", "type at s = 225.00 m", "laneSection at s = 210.00 m"):
         assert place in road.notes[1]
-    with pytest.raises(at.ConfigError, match="longer than 0"):
-        at.load_road(straight_road(tmp_path / "b.xodr", view=empty))
 
 
 def test_a_section_of_a_single_side_leaves_the_other_side_as_it_is(tmp_path):
@@ -511,8 +488,6 @@ def test_a_lane_is_followed_where_its_link_renumbers_it_and_other_types_are_note
     road = at.load_road(straight_road(tmp_path / "a.xodr", turn, *sections), lane=-1)
     assert road.at([50.0, 150.0]).y == pytest.approx([-1.75, -1.75])
     assert road.notes == ("lane -1 is lane -2 from s = 100.00 m on",)
-    with pytest.raises(at.ConfigError, match="road rule='lht'>: must be one of RHT, LHT"):
-        at.load_road(straight_road(tmp_path / "a.xodr", rule="lht"))
     path = straight_road(tmp_path / "a.xodr", section(0, lane_text(-1, type="sidewalk")))
     assert at.load_road(path, lane=-1).notes == ("lane -1 is of type sidewalk",)
 
@@ -562,74 +537,6 @@ def test_a_road_file_by_hand_may_give_points(tmp_path):
     assert float(road.along("friction", 3.0)) == 0.4
 
 
-LINE = "elements = [{kind = 'line', length = 50.0}]\n"
-PIECE = f"""[[pieces]]
-half = {{half}}
-x = 0.0
-y = 0.0
-heading = 0.0
-along = {[0.0, 25.0] + 10 * [0.0]}
-across = {12 * [0.0]}
-turned = [0.0, {{turned}}, {", ".join(10 * ["0.0"])}]
-"""
-
-
-NO_ROADS = {
-    "bad.csv": [
-        ("x,y\n1,2\n", "1 lines of numbers"),
-        ("x,y\n1,2\n3,4\n5,abc\n7,8\n9,9\n", "line 4: 'abc'"),
-        ("x,y\n1,2\n3,4\n5,6,7\n7,8\n9,9\n", "line 4: 3 columns"),
-        ("1,2,3\n" * 5, "3 columns without a header"),
-        ("lat,lon\n" + "1,2\n" * 5, "convert them to x"),
-        ("xx,y\n" + "1,2\n" * 5, "'x'"),
-        ("x,y\n" + "1,2\n" * 5, "n >= 4"),
-        ("x,y,width_left [cm]\n" + "1,2,3\n" * 5, r"line 1: column 'width_left \[cm\]': must be in m; convert"),
-        ("x,y\n1,2\n3,4\n5,1e308\n7,8\n9,9\n", "line 4 has a coordinate of 1e[+]308 m"),
-    ],
-    "bad.xodr": [
-        ("<OpenDRIVE>", "not XML"),
-        ("<osm/>", "<osm>"),
-        ("<OpenDRIVE/>", "no <road>"),
-        ('<OpenDRIVE><road id="a" length="abc"/><road id="b" length="9"/></OpenDRIVE>', r"'b' \(9 m\), 'a'"),
-        ('<?xml version="1.0" encoding="foo-8"?><OpenDRIVE/>', "not XML: unknown encoding: foo-8"),
-        ('<OpenDRIVE><road id="a"/></OpenDRIVE>', "planView"),
-        (one_element('<paramPoly3 pRange="normalized" aU="0" bU="1e7" cU="0" dU="0" {zero}/>'), "1e[+]07 m apart"),
-        (one_element('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="0" dU="-5" {zero}/>'), "5e[+]06 m apart"),
-        (one_element('<poly3 a="0" b="0" c="0" d="1e300"/>'), "m apart in all"),
-        (one_element('<arc curvature="10"/>', 2000), r"arc, 2000 m long: its turn = 20000: at most 10,000 rad"),
-        (one_element('<spiral curvStart="-10" curvEnd="10"/>', 2000), "its turn = 20000"),
-        (one_element('<arc curvature="x"/>'), "arc curvature='x'"),
-        (one_element("<curl/>"), "<curl>; known: line"),
-    ],
-    "bad.toml": [
-        ('name = "x"', "neither elements nor points"),
-        ("points = [[0, 0]]\n" + LINE, "elements and points: give"),
-        ("[[elements]]\nkind = 'line'\nlength = -3.0", r"elements\[0\].length = -3.0"),
-        ("[[elements]]\nkind = 'lne'\nlength = 3.0", "Did you mean 'line'"),
-        ("frction = 1.0\n" + LINE, "Did you mean 'friction'"),
-        ("friction = 'wet'\n" + LINE, "friction = 'wet': must be a number, or a table"),
-        ("friction = {s = [0.0, 0.0], value = [1.0, 1.0]}\n" + LINE, "must increase"),
-        ("closed = true\n" + LINE, "50 m apart at the end and the start"),
-        ("max_deviation = 1.0\n" + LINE, "max_deviation is for points"),
-        (LINE + "speed_limit = 1" + "0" * 400, "speed_limit = 1000.*: must be a valid number"),
-        ("points = [[0.0, 0.0], [1.0, nan], [2.0, 0.0], [3.0, 0.0]]", r"points\[1\]\[1\] = nan"),
-        (PIECE.format(half="1e20", turned=0.0), r"pieces\[0\].half = 1e[+]20: must be .* <= 1e[+]06"),
-        (PIECE.format(half="25.0", turned="1e308"), r"pieces\[0\].turned\[1\] = 1e[+]308"),
-        ("points = [", "not valid TOML"),
-    ],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "words"), [(name, *case) for name, cases in NO_ROADS.items() for case in cases]
-)
-@pytest.mark.filterwarnings("error")
-def test_a_file_that_is_no_road_is_refused_with_its_place(tmp_path, name, text, words):
-    (tmp_path / name).write_text(text)
-    with pytest.raises(at.ConfigError, match=words):
-        at.load_road(tmp_path / name)
-
-
 # -- lanes that open or close, and files that contradict themselves ---------------------------------------------------
 def tapered(number, start, width, slope):
     """A lane that opens or closes smoothly over 40 m."""
@@ -670,31 +577,17 @@ def test_a_narrow_lane_that_keeps_its_width_is_read_all_along(tmp_path):
     )
     assert road.length == pytest.approx(200.0, abs=1e-9)
     assert not any("wide enough" in note for note in road.notes)
-    none = straight_road(tmp_path / "b.xodr", section(0, lane_text(-1), lane_text(-2, width=0.0)))
-    with pytest.raises(at.ConfigError, match="lane -2 has no <width> above 0; there are -2, -1"):
-        at.load_road(none, lane=-2)
 
 
-def test_a_lane_whose_width_has_a_kink_is_refused_with_its_width_as_the_cause(tmp_path):
-    widths = '<width sOffset="0" a="0" b="0.0875" c="0" d="0"/><width sOffset="40" a="3.5" b="0" c="0" d="0"/>'
-    path = straight_road(tmp_path / "a.xodr", section(0, lane_text(-1), f'<lane id="-2">{widths}</lane>'))
-    with pytest.raises(at.ConfigError, match=r"0.0437 rad of kink .* middle of lane -2: see its <width>"):
-        at.load_road(path, lane=-2)
+JUMP = (
+    '<laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="80" a="3.5" b="0" c="0" d="0"/>',
+    section(0, lane_text(1), lane_text(-1)), section(80, lane_text(-1), lane_text(-2)),
+)  # fmt: skip
+"""Lanes beside a line that jumps by their width."""
 
 
-@pytest.mark.parametrize("lane", [5, -7, 0])
-def test_a_lane_that_does_not_exist_is_refused_with_those_that_do(tmp_path, lane):
-    path = straight_road(tmp_path / "a.xodr", section(0, lane_text(1, type="sidewalk"), lane_text(-1), lane_text(-2)))
-    with pytest.raises(at.ConfigError, match=rf"there is no lane {lane}; there are -2, -1, 1 \(sidewalk\)\."):
-        at.load_road(path, lane=lane)
-
-
-def test_a_lane_offset_that_jumps_is_named_and_a_lane_beside_it_is_read(tmp_path):
-    offset = '<laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="80" a="3.5" b="0" c="0" d="0"/>'
-    sections = section(0, lane_text(1), lane_text(-1)), section(80, lane_text(-1), lane_text(-2))
-    path = straight_road(tmp_path / "a.xodr", offset, *sections)
-    with pytest.raises(at.ConfigError, match=r"at s = 80.00 m <laneOffset> jumps by 3.5 m: choose a lane: -2, -1, 1"):
-        at.load_road(path)
+def test_a_lane_beside_a_lane_offset_that_jumps_is_read(tmp_path):
+    path = straight_road(tmp_path / "a.xodr", *JUMP)
     linked = path.read_text().replace(
         lane_text(-1), lane_text(-1, '<link><predecessor id="-1"/><successor id="-2"/></link>'), 1
     )
@@ -743,3 +636,98 @@ def test_a_speed_limit_that_is_not_above_0_is_left_out_with_a_note(tmp_path, mos
     ):
         assert road.speed_limit is None
         assert any(f"left out, not above 0: speed max='{most}'" in note for note in road.notes)
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+LINE = "elements = [{kind = 'line', length = 50.0}]\n"
+PIECE = f"""[[pieces]]
+half = {{half}}
+x = 0.0
+y = 0.0
+heading = 0.0
+along = {[0.0, 25.0] + 10 * [0.0]}
+across = {12 * [0.0]}
+turned = [0.0, {{turned}}, {", ".join(10 * ["0.0"])}]
+"""
+SPEEDS = [8.0] * 4
+KINK = '<width sOffset="0" a="0" b="0.0875" c="0" d="0"/><width sOffset="40" a="3.5" b="0" c="0" d="0"/>'
+
+
+NO_ROADS = {
+    "bad.csv": [
+        ("x,y\n1,2\n", "1 lines of numbers"),
+        ("x,y\n1,2\n3,4\n5,abc\n7,8\n9,9\n", "line 4: 'abc'"),
+        ("x,y\n1,2\n3,4\n5,6,7\n7,8\n9,9\n", "line 4: 3 columns"),
+        ("1,2,3\n" * 5, "3 columns without a header"),
+        ("lat,lon\n" + "1,2\n" * 5, "convert them to x"),
+        ("xx,y\n" + "1,2\n" * 5, "'x'"),
+        ("x,y\n" + "1,2\n" * 5, "n >= 4"),
+        ("x,y,width_left [cm]\n" + "1,2,3\n" * 5, r"line 1: column 'width_left \[cm\]': must be in m; convert"),
+        ("x,y\n1,2\n3,4\n5,1e308\n7,8\n9,9\n", "line 4 has a coordinate of 1e[+]308 m"),
+        (raceline([*SPEEDS, "nan"]), "line 7: 'nan' is not a finite number", {"speed_column": "vx_mps"}),
+        (raceline([*SPEEDS, "-3"]), "line 7: vx_mps = -3: must be > 0 and at most 100 m/s",
+         {"speed_column": "vx_mps"}),
+        (raceline([*SPEEDS, "180"]), "line 7: vx_mps = 180: .* at most 100 m/s", {"speed_column": "vx_mps"}),
+        (raceline(SPEEDS, "v_kmh"), "line 2: column 'v_kmh': must be in m/s; convert", {"speed_column": "v_kmh"}),
+        (raceline(SPEEDS, "v [rad/s]"), "must be in m/s; convert", {"speed_column": "v"}),
+        (raceline(SPEEDS), "line 2: no single column is 'vx_mp': Did you mean 'vx_mps'", {"speed_column": "vx_mp"}),
+        (raceline(SPEEDS, "x_m"), "there are two of them", {"speed_column": "x_m"}),
+    ],
+    "bad.xodr": [
+        ("<OpenDRIVE>", "not XML"),
+        ("<osm/>", "<osm>"),
+        ("<OpenDRIVE/>", "no <road>"),
+        ('<OpenDRIVE><road id="a" length="abc"/><road id="b" length="9"/></OpenDRIVE>', r"'b' \(9 m\), 'a'"),
+        ('<?xml version="1.0" encoding="foo-8"?><OpenDRIVE/>', "not XML: unknown encoding: foo-8"),
+        ('<OpenDRIVE><road id="a"/></OpenDRIVE>', "planView"),
+        (one_element('<paramPoly3 pRange="normalized" aU="0" bU="1e7" cU="0" dU="0" {zero}/>'), "1e[+]07 m apart"),
+        (one_element('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="0" dU="-5" {zero}/>'), "5e[+]06 m apart"),
+        (one_element('<poly3 a="0" b="0" c="0" d="1e300"/>'), "m apart in all"),
+        (one_element('<arc curvature="10"/>', 2000), r"arc, 2000 m long: its turn = 20000: at most 10,000 rad"),
+        (one_element('<spiral curvStart="-10" curvEnd="10"/>', 2000), "its turn = 20000"),
+        (one_element('<arc curvature="x"/>'), "arc curvature='x'"),
+        (one_element("<curl/>"), "<curl>; known: line"),
+        (xodr_text(LANES), "there is no lane -3; there are -2, -1", {"lane": -3}),
+        (xodr_text(LANES), "run with the road", {"lane": 1}),
+        (xodr_text(LANES), "no road has the id 'c'", {"road": "c"}),
+        (xodr_text(LANES).replace('hdg="0.3"', 'hdg="0.4"', 1), "10 m apart at s = 100"),
+        (xodr_text().replace('x="0.0"', 'x="1e300"', 1), r"a coordinate of 1e\+300 m: at most 1e\+08 m"),
+        (straight_text(view=gap_view((0, 0), (0.0, 0.11))), r"0.11 m apart at s = 50.00 m"),
+        (straight_text(view=EMPTY), "longer than 0"),
+        (straight_text(rule="lht"), "road rule='lht'>: must be one of RHT, LHT"),
+        (straight_text(*JUMP), r"at s = 80.00 m <laneOffset> jumps by 3.5 m: choose a lane: -2, -1, 1"),
+        (straight_text(section(0, lane_text(-1), lane_text(-2, width=0.0))),
+         "lane -2 has no <width> above 0; there are -2, -1", {"lane": -2}),
+        (straight_text(section(0, lane_text(-1), f'<lane id="-2">{KINK}</lane>')),
+         r"0.0437 rad of kink .* middle of lane -2: see its <width>", {"lane": -2}),
+        *((straight_text(section(0, lane_text(1, type="sidewalk"), lane_text(-1), lane_text(-2))),
+           rf"there is no lane {lane}; there are -2, -1, 1 \(sidewalk\)\.", {"lane": lane}) for lane in (5, -7, 0)),
+    ],
+    "bad.toml": [
+        ('name = "x"', "neither elements nor points"),
+        ("points = [[0, 0]]\n" + LINE, "elements and points: give"),
+        ("[[elements]]\nkind = 'line'\nlength = -3.0", r"elements\[0\].length = -3.0"),
+        ("[[elements]]\nkind = 'lne'\nlength = 3.0", "Did you mean 'line'"),
+        ("frction = 1.0\n" + LINE, "Did you mean 'friction'"),
+        ("friction = 'wet'\n" + LINE, "friction = 'wet': must be a number, or a table"),
+        ("friction = {s = [0.0, 0.0], value = [1.0, 1.0]}\n" + LINE, "must increase"),
+        ("closed = true\n" + LINE, "50 m apart at the end and the start"),
+        ("max_deviation = 1.0\n" + LINE, "max_deviation is for points"),
+        (LINE + "speed_limit = 1" + "0" * 400, "speed_limit = 1000.*: must be a valid number"),
+        ("points = [[0.0, 0.0], [1.0, nan], [2.0, 0.0], [3.0, 0.0]]", r"points\[1\]\[1\] = nan"),
+        (PIECE.format(half="1e20", turned=0.0), r"pieces\[0\].half = 1e[+]20: must be .* <= 1e[+]06"),
+        (PIECE.format(half="25.0", turned="1e308"), r"pieces\[0\].turned\[1\] = 1e[+]308"),
+        ("points = [", "not valid TOML"),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words", "options"),
+    [(name, text, words, dict(*options)) for name, rows in NO_ROADS.items() for text, words, *options in rows],
+)
+@pytest.mark.filterwarnings("error")
+def test_a_file_that_is_no_road_is_refused_with_its_place(tmp_path, name, text, words, options):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(at.ConfigError, match=words):
+        at.load_road(tmp_path / name, **options)
