@@ -40,20 +40,15 @@ def data(tmp_path_factory):
     return path
 
 
-def test_train_saves_a_scheduler_that_simulate_drives_with(run_command, tmp_path, data):
+def test_train_saves_a_scheduler_that_simulate_drives_with(answer_of, tmp_path, data):
     out = tmp_path / "new" / "fuzzy.json"
-    code, printed, err = run_command("paper", "train", "--data", data, "--model", "anfis", "--out", out, "--json")
-    assert code == 0, err
-    result = json.loads(printed)
+    result = answer_of("paper", "train", "--data", data, "--model", "anfis", "--out", out)
     assert (result["scheduler"], result["model"], result["targets"]) == (str(out), "anfis", "paper")
     assert [row["slot"] for row in result["rows"]] == ["Np", "Nc", "Q", "R"]
     assert all(row.keys() >= {"r2", "rmse", "ceiling_r2", "ceiling_rmse", "seconds"} for row in result["rows"])
 
-    code, printed, err = run_command(
-        "drive", "sine", "-o", "duration=1.0", "--scheduler", out, "--out", tmp_path, "--json"
-    )
-    assert code == 0, err
-    assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("fuzzy", "fuzzy")]
+    rows = answer_of("drive", "sine", "-o", "duration=1.0", "--scheduler", out, "--out", tmp_path)["rows"]
+    assert [(row["controller"], row["scheduler"]) for row in rows] == [("fuzzy", "fuzzy")]
     assert (tmp_path / "sine-fuzzy.parquet").exists()
 
 
@@ -86,16 +81,14 @@ def test_a_campaign_is_run_described_and_written_on_a_page(run_command, tmp_path
     assert (code, json.loads(again)) == (0, json.loads(printed))
 
 
-def test_lists_name_everything_that_can_be_asked_for(run_command):
-    _, out, _ = run_command("list", "--json")
-    names = {row["kind"]: row["names"].split(", ") for row in json.loads(out)["rows"]}
+def test_lists_name_everything_that_can_be_asked_for(answer_of):
+    names = {row["kind"]: row["names"].split(", ") for row in answer_of("list")["rows"]}
     assert {"triple-lane-change", "random-drive"} <= set(names["scenarios"])
     assert {"paper", "midsize-sedan"} <= set(names["cars"])
     assert {"quick", "standard", "full"} <= set(names["comparisons"])
     assert set(names["schedules"]) == set(list_schedulers())
     for kind in names:
-        _, out, _ = run_command("list", kind, "--json")
-        assert ", ".join(row["name"] for row in json.loads(out)["rows"]) == ", ".join(names[kind])
+        assert ", ".join(row["name"] for row in answer_of("list", kind)["rows"]) == ", ".join(names[kind])
 
 
 # -- help -------------------------------------------------------------------------------------------------------------

@@ -262,10 +262,9 @@ def test_steering_rate_width_edges_and_jumps_are_named():
 
 
 # -- commands ---------------------------------------------------------------------------------------------------------
-def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(run_command, tmp_path):
+def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(run_command, output_of, tmp_path):
     (tmp_path / "road.csv").write_text("\n".join(f"{x},0" for x in range(0, 3000, 50)))
-    code, out, _ = run_command("road", "check", tmp_path / "road.csv")
-    assert code == 0
+    out = output_of("road", "check", tmp_path / "road.csv")
     assert "can be driven" in out
     assert "the road has no speed limit: the plan ends at 27 m/s" in " ".join(out.split())
     assert "largest deviation" in out
@@ -284,21 +283,19 @@ def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(run
     assert "speed limit" in answer["limits"]["shares"]
 
 
-def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(run_command, tmp_path):
+def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(answer_of, tmp_path):
     rows = [f"{30 * math.cos(a):.3f},{8 + math.sin(a):.3f},{30 * math.sin(a):.3f}" for a in np.arange(0.0, 6.28, 0.1)]
     (tmp_path / "lap.csv").write_text("# x_m,vx_mps,y_m\n" + "\n".join(rows))
     fastest = {}
     for bounds in ((), ("--lateral-acceleration", "2")):
-        code, out, _ = run_command("road", "check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
-        assert code == 0
-        fastest[bounds] = json.loads(out)["fastest"]
+        arguments = ("road", "check", tmp_path / "lap.csv", "--speed-column", "vx_mps", *bounds)
+        fastest[bounds] = answer_of(*arguments)["fastest"]
     assert fastest[()] == pytest.approx(9.0, abs=0.01)
     assert fastest[("--lateral-acceleration", "2")] == pytest.approx(math.sqrt(2.0 * 30.0), abs=0.05)
 
 
 @pytest.mark.drawn
-def test_plot_writes_a_picture(run_command, tmp_path):
-    code, out, _ = run_command("road", "plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
-    assert code == 0
+def test_plot_writes_a_picture(output_of, tmp_path):
+    out = output_of("road", "plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
     assert str(tmp_path / "a.png") in out
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
