@@ -26,7 +26,7 @@ TRUTH = {
 }  # fmt: skip
 
 
-def scaled(signals: tuple[str, ...], speed: float | None = None, duration: float = 40.0) -> dict[str, np.ndarray]:
+def scaled(signals: tuple[str, ...], speed: float | None = None, duration: float = 30.0) -> dict[str, np.ndarray]:
     """A log whose steering angles are `SCALE` times those of the road wheels."""
     drive = driven(duration, speed=speed, noise=0.001)
     angles = {name: SCALE * drive[name] for name in signals}
@@ -63,7 +63,7 @@ def test_a_log_read_with_its_scale_as_ratio_has_a_scale_of_1_and_the_car_file_ha
 
 @pytest.mark.compiled
 def test_bends_at_one_speed_leave_the_scale_its_prior_and_widen_understeer_and_two_speeds_tell_both():
-    slow, fast = (scaled(("wheel",), speed, 25.0) for speed in (8.0, 16.0))
+    slow, fast = (scaled(("wheel",), speed, 21.0) for speed in (8.0, 16.0))
     one_speed = at.identify(fast, CAR)
     assert one_speed["angle_scale"].value == pytest.approx(1.0)
     assert one_speed["angle_scale"].spread_left == pytest.approx(1.0, abs=0.02)
