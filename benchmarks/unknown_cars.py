@@ -21,12 +21,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from learning import Car
 from numpy.typing import NDArray
 
 import adaptrack as at
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
-from adaptrack.cars.vehicle import Steering, load_tyre
+from adaptrack.cars.vehicle import Steering, Tyre, load_tyre
 from adaptrack.control.controllers import Learning
 from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import BELIEF_NAMES
@@ -45,8 +44,20 @@ LOGARITHMIC, QUANTITIES = ("stiffness", "balance"), ("delay", "lag", "dead_time"
 INSTANTS = (30.0, 60.0, 120.0)  # s
 
 
+class Car(NamedTuple):
+    """A random car."""
+
+    number: int
+    base: at.Vehicle
+    """what the data sheet says"""
+    body: at.Vehicle
+    """as it is, matched to its tyre"""
+    tyre: Tyre
+    world: Profile
+
+
 def unknown_car(number: int, seed: int, profile: Profile, oversteering: bool = False) -> Car:
-    """One of the cars that the page speaks of; its base is what the data sheet says."""
+    """One of the cars that the page speaks of."""
     rng = np.random.default_rng((seed, number, int(oversteering)))
     mass, wheelbase = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (MASS, WHEELBASE))
     K, front, rear, index, lag, dead_time, rate, bias = (

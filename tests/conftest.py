@@ -13,6 +13,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ["MPLBACKEND"] = "Agg"
 
 import functools
+import json
 import signal
 import subprocess
 import sys
@@ -100,6 +101,24 @@ def run_command(
         return (code, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture
+def output_of(run_command: Callable[..., tuple[int, str, str]]) -> Callable[..., str]:
+    """Run a command that must succeed: its standard output."""
+
+    def run(*arguments: object) -> str:
+        code, out, err = run_command(*arguments)
+        assert code == 0, err
+        return out
+
+    return run
+
+
+@pytest.fixture
+def answer_of(output_of: Callable[..., str]) -> Callable[..., dict]:
+    """Run a command that must succeed, with --json: its answer."""
+    return lambda *arguments: json.loads(output_of(*arguments, "--json"))
 
 
 @pytest.fixture

@@ -11,6 +11,14 @@ from adaptrack.road import Arc, Line, Road
 SPEED, PERIOD = 10.0, 0.05
 
 
+def trajectory(columns, **fields):
+    """A trajectory of these columns, all others 0, and of these other fields."""
+    n = columns["t"].size
+    zeros = {column.name: np.zeros((n, len(column.parts)) if column.parts else n, column.dtype)
+             for column in TRAJECTORY_COLUMNS}  # fmt: skip
+    return Trajectory(**(zeros | columns | fields))
+
+
 def bend(**along):
     """A straight line of 60 m, a quarter of a circle of 40 m to the left, a straight line of 60 m."""
     return Road.from_segments(
@@ -27,10 +35,7 @@ def made_run(road=None, *, controller="informed", amplitude=0.3, seconds=None, p
     place, offset = road.at(s), amplitude * np.sin(s / 10.0)
     turned = np.arctan2(0.1 * amplitude * np.cos(s / 10.0), 1.0 - place.curvature * offset)
     wheels = np.arctan(car.wheelbase * place.curvature)
-    values = {
-        column.name: np.zeros((s.size, len(column.parts)) if column.parts else s.size, column.dtype)
-        for column in TRAJECTORY_COLUMNS
-    } | {
+    columns = {
         "t": time, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
         "psi": place.heading + turned, "vx": np.full(s.size, SPEED), "v_ref": np.full(s.size, SPEED),
         "steering": wheels, "command": wheels, "lateral_acceleration": SPEED**2 * place.curvature,
@@ -38,7 +43,7 @@ def made_run(road=None, *, controller="informed", amplitude=0.3, seconds=None, p
     }  # fmt: skip
     on_road = {"station": s, "offset": offset, "heading_error": turned, "curvature": place.curvature}
     meta = {"scenario": road.name, "controller": controller, "vehicle": "midsize-sedan", "profile": "road"}
-    run = Trajectory(**({**values, "period": PERIOD, "road": on_road, "meta": meta} | changes))
+    run = trajectory(columns, **({"period": PERIOD, "road": on_road, "meta": meta} | changes))
     return Run(run, road=road, car=car, predicted=predicted)
 
 

@@ -26,10 +26,14 @@ def _save_empty(figure: Figure, to: Any, **options: Any) -> None:
         Path(to).write_bytes(b"")
 
 
+def _save_coarse(figure: Figure, to: Any, **options: Any) -> None:
+    _savefig(figure, to, **(options | {"dpi": 20} if options.get("format") == "png" else options))
+
+
 @contextmanager
 def pictures(drawn: bool) -> Iterator[None]:
-    """Within, figures are drawn when they are saved, or stand for themselves as empty files."""
-    before, Figure.savefig = Figure.savefig, _savefig if drawn else _save_empty
+    """Within, figures are drawn when they are saved, coarsely for print, or empty files stand for them."""
+    before, Figure.savefig = Figure.savefig, _save_coarse if drawn else _save_empty
     try:
         yield
     finally:

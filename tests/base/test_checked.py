@@ -96,7 +96,7 @@ def refusal(call: Any) -> str:
 
 
 @pytest.mark.parametrize("kind", [Number, Finite, Positive, NotNegative, Share, Bound, Count, Natural])
-def test_no_type_takes_what_is_no_number_or_too_large_for_one(kind: Any) -> None:
+def test_no_type_takes_what_is_no_number_or_too_large_for_one(kind):
     def take(value: Any) -> Any:
         return value
 
@@ -105,7 +105,7 @@ def test_no_type_takes_what_is_no_number_or_too_large_for_one(kind: Any) -> None
         assert refusal(lambda value=no_number: checked(take)(value)).endswith(".")
 
 
-def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
+def test_numbers_of_every_kind_arrive_as_plain_ones():
     for number in (2, 2.0, np.float32(2.0), np.int8(2), np.float64(2.0), fractions.Fraction(2)):
         got = drive(None, speed=number, angle=[number, number], weights={"q": number}, pause=number)
         for value in (got["speed"], *got["angle"], got["weights"]["q"], got["pause"]):
@@ -135,11 +135,11 @@ def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
     ({"pause": 0}, "drive: pause = 0 s: must be a finite number > 0 or None."),
     ({"pole": 1.0}, "drive: pole = 1.0: must be a finite number >= 0 and < 1."),
 ])  # fmt: skip
-def test_a_refusal_names_call_argument_value_unit_and_what_is_allowed(arguments: dict[str, Any], sentence: str) -> None:
+def test_a_refusal_names_call_argument_value_unit_and_what_is_allowed(arguments, sentence):
     assert refusal(lambda: drive(None, **arguments)).startswith(sentence)
 
 
-def test_objects_and_methods_are_checked_by_position_and_by_name_under_their_own_names() -> None:
+def test_objects_and_methods_are_checked_by_position_and_by_name_under_their_own_names():
     assert refusal(lambda: Box(-1)) == "Box: width = -1 m: must be a finite number > 0."
     assert refusal(lambda: Box(width=1.0, most=0)) == "Box: most = 0 m: must be a number > 0; inf: no limit."
     assert refusal(lambda: dataclasses.replace(Box(1.0), width=math.nan)).startswith("Box: width = nan m")
@@ -150,7 +150,7 @@ def test_objects_and_methods_are_checked_by_position_and_by_name_under_their_own
     assert Truck.of(2).load(3, seats=2) == 8.0
 
 
-def test_a_checked_call_keeps_its_signature_and_its_own_errors() -> None:
+def test_a_checked_call_keeps_its_signature_and_its_own_errors():
     assert list(inspect.signature(Box).parameters) == ["width", "most"]
     assert inspect.signature(drive).parameters["moves"].default == 1
     assert drive.__doc__ == "All that it got."
@@ -161,7 +161,7 @@ def test_a_checked_call_keeps_its_signature_and_its_own_errors() -> None:
         drive(None, sped=1.0)  # type: ignore[call-arg]
 
 
-def test_fields_of_files_take_the_same_types_in_the_same_words() -> None:
+def test_fields_of_files_take_the_same_types_in_the_same_words():
     assert build(Body, {"mass": 3, "moves": 2}, "a.toml").mass == 3.0
     for mass in (-1.0, "a", True, math.nan, math.inf):
         with pytest.raises(ConfigError, match=r"a.toml: mass = .*: must be a finite number > 0 \(kg\)"):
@@ -193,9 +193,9 @@ def unchecked(path: Path) -> list[str]:
         for target in statement.targets
         if isinstance(target, ast.Name)
     }
-    result = []
+    result, checks_parameters = [], "check_parameters" in names_in(module)
     for node in ast.walk(module):
-        if isinstance(node, ast.FunctionDef) and node.name == "__init__" and "check_parameters" in names_in(module):
+        if isinstance(node, ast.FunctionDef) and node.name == "__init__" and checks_parameters:
             continue
         if isinstance(node, ast.FunctionDef):
             parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
@@ -213,7 +213,7 @@ def unchecked(path: Path) -> list[str]:
     return result
 
 
-def test_every_call_whose_annotations_promise_a_check_makes_it(tmp_path: Path) -> None:
+def test_every_call_whose_annotations_promise_a_check_makes_it(tmp_path):
     modules = sorted(Path(adaptrack.__file__).parent.rglob("*.py"))
     assert not [call for path in modules if path.parent.name != "base" for call in unchecked(path)]
     module = tmp_path / "made.py"

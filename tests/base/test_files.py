@@ -12,16 +12,7 @@ from hypothesis import strategies as st
 
 from adaptrack.base import files
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
-from adaptrack.base.files import (
-    is_text,
-    printable,
-    read_json,
-    read_toml,
-    safe_name,
-    safe_names,
-    write_atomically,
-    write_json,
-)
+from adaptrack.base.files import is_text, printable, read_json, read_toml, safe_name, safe_names, write_atomically
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.scenario import load_scenario
 
@@ -101,7 +92,7 @@ def test_a_file_that_cannot_be_used_is_one_error_with_its_place(tmp_path, name, 
 
 def test_json_comes_back_as_it_was(tmp_path):
     data, path = {"µ": [1, 2.5, None, True], "nested": {"name": "[/red]"}}, tmp_path / ("x" * 250 + ".json")
-    write_json(path, data)
+    files.write_json(path, data)
     assert read_json(path) == data
 
 

@@ -36,33 +36,27 @@ def mine(tmp_path):
 
 @pytest.mark.compiled
 def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
-    run_command, monkeypatch, tmp_path, tmp_path_factory, mine
+    output_of, monkeypatch, tmp_path, tmp_path_factory, mine
 ):
     chain = learned(tmp_path_factory.getbasetemp())
     folder = shutil.copytree(chain.folder, tmp_path / "adapted")
     monkeypatch.setattr(adaptation, "adapt", partial(adaptation.adapt, effort=EFFORT))
     monkeypatch.setattr(adaptation, "improve", lambda *arguments, **settings: pytest.fail("it learned again"))
-    code, out, err = run_command("paper", "adapt", chain.file, "--out", folder, "--json")
-    assert code == 0, err
-    result = strict(out)
+    result = strict(output_of("paper", "adapt", chain.file, "--out", folder, "--json"))
     assert result["schedulers"] == str(folder / "schedulers")
     assert [row["contender"] for row in result["rows"]] == ["nn", "anfis"]
 
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     monkeypatch.setattr("adaptrack.results.evaluation.SURFACE_NODES", (9, 7))
     page = tmp_path / "page"
     command = ("paper", "evaluate", folder, "--campaign", chain.file, "--operating-points", 4, "--drives", 1, "--tests",
                "--perception", "noisy", "--scheduler", mine)  # fmt: skip
-    code, out, err = run_command(*command, "--out", page, "--json")
-    assert code == 0, err
-    rows = strict(out)["rows"]
+    rows = strict(output_of(*command, "--out", page, "--json"))["rows"]
     assert {row["view"] for row in rows} == {"operating points", "drives", "tests"}
     exact = {row["contender"]: row for row in rows if row.get("perception") == "exact" and row["view"] != "drives"}
     assert set(exact) == {"best constant", "look-up", "nn", "anfis", "mine", "optimum"}
     assert all(row["regret_worst"] >= row["regret_p90"] >= row["regret_p50"] > 0.0 for row in exact.values())
     assert "adaptrack paper evaluate" in (page / "index.html").read_text()
-    code, out, err = run_command(*command[:5], "--drives", 1)
-    assert code == 0, err
+    out = output_of(*command[:5], "--drives", 1)
     assert "times the cost of the best constant on 1 drive" in out
     assert "Drives: 1 drive, regret to best constant" in out
 
@@ -71,20 +65,17 @@ def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
 def few_points(monkeypatch):
     """Certificates of eight points."""
     monkeypatch.setattr("adaptrack.analysis.certify.certify", partial(certify, levels=(4, 2)))
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
 
 
 def test_certify_passes_a_sound_scheduler_and_prints_the_points_nearest_to_instability(
-    run_command, few_points, tmp_path, mine
+    output_of, few_points, tmp_path, mine
 ):
-    code, out, err = run_command("certify", mine, "--json")
-    result = strict(out)
-    assert code == 0, err
+    result = strict(output_of("certify", mine, "--json"))
     assert result.keys() >= CERTIFIED
     assert (result["scheduler"], result["profile"], result["passed"], result["unstable"]) == ("mine", "road", True, 0)
     assert [row["driving"] for row in result["rows"]] == 8 * ["straight"] + 8 * ["turn"]
     assert {row["Np"] for row in result["rows"]} == {38.0}
-    _, out, _ = run_command("certify", mine, "--out", tmp_path / "page")
+    out = output_of("certify", mine, "--out", tmp_path / "page")
     assert "Passed: the closed loop is stable at all 8 points of the operating domain driving straight" in out
     assert "mine: points with the smallest modulus margin" in out
     assert "Passed" in (tmp_path / "page" / "index.html").read_text()
@@ -122,23 +113,18 @@ def test_certify_says_the_same_on_the_console_in_the_json_and_on_the_page(run_co
     assert [len(re.findall(r"^ *[\d.]+ +[\d.]+ +30 +10 ", part, re.MULTILINE)) for part in parts[1::2]] == [8, 8]
 
 
-def test_certify_without_a_scheduler_is_about_the_constant_of_the_controller_that_knows_its_car(
-    run_command, monkeypatch
-):
+def test_certify_without_a_scheduler_is_about_the_constant_of_the_controller_that_knows_its_car(output_of, monkeypatch):
     monkeypatch.setattr("adaptrack.analysis.certify.certify", partial(certify, levels=(3, 2)))
-    code, out, err = run_command("certify", "--mismatch", "--json")
-    result = strict(out)
-    assert code == 0, err
+    result = strict(output_of("certify", "--mismatch", "--json"))
     assert (result["model"], result["estimator"], result["passed"], result["points"]) == ("path", "kalman", True, 6)
     assert {row["R"] for row in result["rows"]} == {informed_tuning("road").R}
     assert len(result["mismatched"]) == 8
-    code, out, err = run_command("certify", "--mismatch", "--speed", 20, 20)
-    assert code == 0, err
+    out = output_of("certify", "--mismatch", "--speed", 20, 20)
     assert result["mismatched"][0]["mismatch"] in out
     assert "stable at all 2 points" in " ".join(out.split())
 
 
-def test_certify_names_what_no_tuning_can_hold_with_exit_code_1(run_command, monkeypatch):
+def test_certify_names_what_no_tuning_can_hold_with_exit_code_1(run_command, output_of, monkeypatch):
     few = partial(feasibility, nodes=((20.0, 60.0), (1.0, 4.0), (4.0, 5.0)), margin=0.3)
     monkeypatch.setattr("adaptrack.analysis.feasibility.feasibility", few)
     command = ("certify", "--feasible", "--controller", "standard", "--vehicle", "midsize-sedan", "--speed", 10, 30)
@@ -147,7 +133,6 @@ def test_certify_names_what_no_tuning_can_hold_with_exit_code_1(run_command, mon
     assert (code, result["passed"]) == (1, False)
     assert f"FAILED {result['verdict']}" in err
     assert "Infeasible: no tuning holds the loop" in result["verdict"]
-    code, out, err = run_command(*command[:-2], 9, 10)
-    assert code == 0, err
+    out = output_of(*command[:-2], 9, 10)
     assert "Feasible: at every point of 9 to 10 m/s on friction 0.3 to 1" in " ".join(out.split())
     assert "Tuning with the largest modulus margin at each speed and friction" in out

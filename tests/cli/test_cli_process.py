@@ -134,7 +134,7 @@ def test_no_command_asks_matplotlib_for_a_window_system(run_command, monkeypatch
 
 
 # -- standard output --------------------------------------------------------------------------------------------------
-COMMANDS = [["--help"], ["list"], ["list", "--json"]]
+COMMANDS = [["--help"], ["list", "profiles"], ["list", "profiles", "--json"]]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -158,7 +158,7 @@ def test_a_reader_that_has_gone_ends_the_command_quietly_with_exit_code_141(comm
 
 
 def test_a_closed_standard_output_is_one_sentence_and_exit_code_2():
-    command = f"exec {sys.executable} -m adaptrack list >&-"
+    command = f"exec {sys.executable} -m adaptrack list profiles >&-"
     process = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
     assert process.returncode == 2
     assert process.stderr.startswith("adaptrack: standard output is closed")

@@ -13,7 +13,6 @@ from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.app import app
-from adaptrack.control.controllers.learned_car import LearnedCar
 from adaptrack.drive.simulate import rollout
 from adaptrack.drive.world import ROAD_DRIVER
 from adaptrack.road import load_road, plan_speed
@@ -100,34 +99,6 @@ def test_compare_drives_all_on_the_same_roads_and_leaves_out_what_does_not_fit(t
     reasons = {cell["contender"]: cell["why"] for cell in result["left_out"]}
     assert "does not measure vy" in reasons["published"]
     assert "was found for the profile 'road', not 'production'" in reasons[str(file)]
-
-
-@pytest.mark.parametrize(("arguments", "words"), [
-    (["tune", "town", "--out", "{out}"], "tune CAR --road town"),
-    (["tune", "papre", "--out", "{out}"], "Did you mean 'paper'"),
-    (["tune", "paper", "--controller", "lqr", "--out", "{out}"], "--controller does not apply: name roads"),
-    (["tune", "paper", "--road", "town", "--speed", "5..9", "--out", "{out}"], "--speed does not apply"),
-    (["tune", "paper", "--speed", "5", "--out", "{out}"], "must be LOW..HIGH"),
-    (["tune", "paper", "--road", "town", "--controller", "nn", "--out", "{out}"], "tunable controllers: as-"),
-    (["tune", "paper", "--road", "town", "--runs", "19", "--out", "{out}"], "give at least 20"),
-    (["compare", "town", "--controller", "stanly"], "Did you mean 'stanley'"),
-    (["compare", "country:101"], "is a test road as well"),
-    (["compare", "--config", "standart"], "Did you mean 'standard'"),
-    (["compare", "town", "--lane-change", "iso3888-1"], "ROAD has no effect"),
-    (["compare", "--lane-change", "iso3888-1", "--budget", "50"], "--budget 0: do not tune"),
-    (["compare", "town", "--controller", "nn", "--vehicle", "van"], "was made for the car 'paper'"),
-])  # fmt: skip
-def test_a_wrong_argument_is_refused_with_the_remedy(arguments, words, tmp_path):
-    process = run(*(argument.format(out=tmp_path) for argument in arguments))
-    assert isinstance(process.exception, InvalidInput), process.output
-    assert words in str(process.exception)
-
-
-def test_a_learned_file_of_another_car_is_refused_with_the_key_to_change(tmp_path):
-    sigmas = dict.fromkeys(("lag_sigma", "dead_time_sigma", "delay_sigma", "stiffness_sigma"), 0.05)
-    LearnedCar(car="van", lag=0.1, dead_time=0.0, stiffness=1.0, **sigmas).to_toml(tmp_path / "learned.toml")
-    refusal = run("drive", "town", "--vehicle", "midsize-sedan", "--learned", tmp_path / "learned.toml")
-    assert "set car = '' (in its file" in str(refusal.exception)
 
 
 def test_a_tuning_file_makes_the_controller_that_it_names(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -51,7 +50,7 @@ OWN = ("--plugin", "newcomers_module", "--plant", "bicycle")
 
 
 @pytest.fixture
-def run(run_command, tmp_path, monkeypatch):
+def run(answer_of, tmp_path, monkeypatch):
     """Run a command in a folder that holds the module; its JSON."""
     (tmp_path / "newcomers_module.py").write_text(MODULE)
     monkeypatch.chdir(tmp_path)
@@ -59,13 +58,7 @@ def run(run_command, tmp_path, monkeypatch):
     monkeypatch.setattr(controllers._registry, "factories", dict(controllers._registry.factories))
     monkeypatch.setattr(controllers, "_descriptions", dict(controllers._descriptions))
     monkeypatch.setattr(plants._registry, "factories", dict(plants._registry.factories))
-
-    def command(*arguments):
-        code, out, err = run_command(*arguments, "--json")
-        assert code == 0, err
-        return json.loads(out)
-
-    yield command
+    yield answer_of
     sys.modules.pop("newcomers_module", None)
 
 

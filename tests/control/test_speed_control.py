@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from adaptrack import MPC, DualTrack, Learning, PurePursuit, RoadDrive, Tracker, load_vehicle, simulate
+from adaptrack import MPC, DualTrack, Learning, PurePursuit, RoadDrive, SpeedControl, Tracker, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
-from adaptrack.control.speed_control import (
-    SPEED_ACTIONS,
-    SpeedAction,
-    SpeedControl,
-    SpeedController,
-    SpeedLimit,
-    SpeedState,
-    speed_path,
-)
+from adaptrack.control import speed_control
+from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedAction, SpeedController, SpeedLimit, SpeedState
 from adaptrack.control.tracker import Status, join
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import direct
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed import speed_control as kernel
-from adaptrack.core.speed.speed_control import slope_of
 from adaptrack.core.speed.stops import STOP_TOLERANCE
 from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.signals import TRACKED
@@ -67,6 +60,32 @@ class PointMass:
             self.s += 0.001 * self.v
 
 
+def _controller(
+    road: Road | float, control: SpeedControl | None = None, *, stop_at_end: bool = False, **plan: Any
+) -> SpeedController:
+    """A speed control on a road, or on a straight one of this length (m), with a plan of these options."""
+    road = road if isinstance(road, Road) else _straight(road)
+    plan = plan_speed(road, CAR, **({"comfort": COMFORT} | plan))
+    return SpeedController(control or SpeedControl(CAR), road, plan, PERIOD, stop_at_end=stop_at_end)
+
+
+class Step(NamedTuple):
+    """A control period: requests, and speed (m/s) and place (m) of the car at its begin."""
+
+    request: Any
+    speed: float
+    place: float
+
+
+def _drive(car: PointMass, controller: SpeedController, periods: int, **faults: object) -> list[Step]:
+    """Drive a car for so many control periods."""
+    steps = []
+    for _ in range(periods):
+        steps.append(Step(controller.step(car.s, car.v, 0.0), car.v, car.s))
+        car.move(steps[-1].request.force, steps[-1].request.hold, **faults)
+    return steps
+
+
 def test_on_the_way_to_a_stop_the_acceleration_is_the_derivative_of_the_speed() -> None:
     control = SpeedControl(CAR).settings(PERIOD, COMFORT)
     ways = np.linspace(0.001, 40.0, 40000)
@@ -103,9 +122,7 @@ def test_a_car_whose_delays_mass_and_slope_are_not_known_stops_near_its_stop_and
 @pytest.mark.parametrize("scale", [0.98, 1.0, 1.02])
 def test_a_noisy_position_and_a_wrong_scale_of_the_speed_hardly_move_a_stop(scale) -> None:
     rng, noise = np.random.default_rng(3), 0.2
-    road = _straight(500.0)
-    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(300.0, 2.0)], top_speed=14.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+    controller = _controller(500.0, stops=[Stop(300.0, 2.0)], top_speed=14.0)
     car = PointMass(14.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.2, dead_time=0.1))
     errors = []
     for _ in range(700):
@@ -119,10 +136,9 @@ def test_a_noisy_position_and_a_wrong_scale_of_the_speed_hardly_move_a_stop(scal
 
 
 def test_a_stop_does_not_depend_on_the_scale_of_the_speed_once_that_is_learned() -> None:
-    road, stands = _straight(900.0), []
-    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(800.0, 9.0)], top_speed=14.0)
+    stands = []
     for scale in (0.93, 1.07):
-        controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+        controller = _controller(900.0, stops=[Stop(800.0, 9.0)], top_speed=14.0)
         car = PointMass(14.0, CAR.mass, DriveActuator(lag=0.3, dead_time=0.2), BrakeActuator(lag=0.25, dead_time=0.2))
         while controller.step(car.s, car.v / scale, 0.0).state != SpeedState.STOPPED:
             request = controller.command
@@ -132,9 +148,7 @@ def test_a_stop_does_not_depend_on_the_scale_of_the_speed_once_that_is_learned()
 
 
 def test_exact_positions_are_taken_as_they_are_and_jumps_are_followed_at_once() -> None:
-    road = _straight(900.0)
-    plan = plan_speed(road, CAR, COMFORT, top_speed=14.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+    controller = _controller(900.0, top_speed=14.0)
     station, memory = 0.0, controller.record.memory[0]
     for k in range(600):
         station += PERIOD * (10.0 + 4.0 * math.sin(PERIOD * (k - 0.5)))
@@ -145,38 +159,26 @@ def test_exact_positions_are_taken_as_they_are_and_jumps_are_followed_at_once() 
 
 def test_a_car_of_twice_the_mass_that_slides_past_the_end_of_its_path_stops_behind_it() -> None:
     drive, brakes = DriveActuator(lag=0.2, dead_time=0.1), BrakeActuator(lag=0.1, dead_time=0.1)
-    road = _straight(100.0)
-    plan = plan_speed(road, CAR, COMFORT, top_speed=14.0)
-    controller = SpeedController(SpeedControl(CAR, friction=0.5), road, plan, PERIOD, stop_at_end=True)
+    controller = _controller(100.0, SpeedControl(CAR, friction=0.5), stop_at_end=True, top_speed=14.0)
     car = PointMass(14.0, 2.0 * CAR.mass, drive, brakes)
     car.s = 80.0
-    for _ in range(300):
-        request = controller.step(car.s, car.v, 0.0)
-        car.move(request.force, request.hold)
+    steps = _drive(car, controller, 300)
     assert 102.0 < car.s < 150.0
-    assert (request.state, car.v) == (SpeedState.STOPPED, 0.0)
+    assert (steps[-1].request.state, car.v) == (SpeedState.STOPPED, 0.0)
 
 
 def test_a_car_does_not_roll_back_at_a_stop_on_an_ascent_of_ten_per_cent() -> None:
     drive, brakes = DriveActuator(lag=0.05, dead_time=0.05), BrakeActuator(lag=0.6, dead_time=0.4)
-    road = _straight(400.0, grade=0.1)
-    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(150.0, 2.0)], top_speed=12.0)
-    controller = SpeedController(SpeedControl(CAR, drive=None, brakes=None), road, plan, PERIOD)
-    car = PointMass(float(plan.speed[0]), 1.3 * CAR.mass, drive, brakes, GRAVITY * math.sin(math.atan(0.1)))
-    farthest, rolled_back = 0.0, 0.0
-    for _ in range(1200):
-        request = controller.step(car.s, car.v, 0.0)
-        car.move(request.force, request.hold)
-        farthest = max(farthest, car.s)
-        rolled_back = max(rolled_back, farthest - car.s)
+    control, road = SpeedControl(CAR, drive=None, brakes=None), _straight(400.0, grade=0.1)
+    car = PointMass(12.0, 1.3 * CAR.mass, drive, brakes, GRAVITY * math.sin(math.atan(0.1)))
+    steps = _drive(car, _controller(road, control, stops=[Stop(150.0, 2.0)], top_speed=12.0), 1200)
+    places = np.array([step.place for step in steps])
     assert car.s > 300.0
-    assert rolled_back < 0.02
+    assert (np.maximum.accumulate(places) - places).max() < 0.02
 
 
 def test_a_car_at_the_end_of_its_path_drives_on_once_its_place_jumps_back() -> None:
-    road = _straight(100.0)
-    plan = plan_speed(road, CAR, COMFORT, top_speed=8.0, end=0.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+    controller = _controller(100.0, top_speed=8.0, end=0.0)
     car = PointMass(8.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.2, dead_time=0.1))
     states = []
     for k in range(1000):
@@ -191,7 +193,7 @@ def test_a_car_at_the_end_of_its_path_drives_on_once_its_place_jumps_back() -> N
 
 @pytest.mark.parametrize("grade", [None, -0.2])
 def test_a_car_that_starts_on_a_descent_stays_near_its_plan(grade) -> None:
-    slope = slope_of(-0.2)
+    slope = kernel.slope_of(-0.2)
     road = _straight(100.0) if grade is None else _straight(100.0, grade=grade)
     comfort = Comfort(accelerate=0.5, brake=2.5)
     plan = plan_speed(road, CAR, comfort, stops=[Stop(20.0, 3.0)], top_speed=12.0, start=0.0)
@@ -208,8 +210,7 @@ def test_a_car_that_starts_on_a_descent_stays_near_its_plan(grade) -> None:
 
 @pytest.mark.parametrize(("disturbance", "kerb"), [(4.0, 0.0), (0.0, 3.0)])
 def test_a_car_that_stands_although_it_should_drive_gets_more_force_until_it_drives(disturbance, kerb) -> None:
-    road = _straight(300.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)
+    controller = _controller(300.0, top_speed=14.0)
     for bank in (controller.record.banks.drive, controller.record.banks.brakes):
         for hypothesis in bank:
             hypothesis.disturbance = disturbance  # m/s^2, for which brakes would hold the car
@@ -223,14 +224,9 @@ def test_a_car_that_stands_although_it_should_drive_gets_more_force_until_it_dri
 
 def test_the_bank_finds_delay_and_ratio_of_drive_and_brakes() -> None:
     drive, brakes = DriveActuator(lag=0.45, dead_time=0.1, gain=0.85), BrakeActuator(lag=0.15, dead_time=0.3)
-    road = _straight(3000.0)
     stops = [Stop(200.0 * k, 1.0) for k in range(1, 12)]  # at rest the brakes hold: they release while the drive pulls
-    plan = plan_speed(road, CAR, COMFORT, stops=stops, top_speed=14.0)
-    controller = SpeedController(SpeedControl(CAR, drive=None, brakes=None), road, plan, PERIOD)
-    car = PointMass(float(plan.speed[0]), CAR.mass, drive, brakes)
-    for _ in range(3000):
-        request = controller.step(car.s, car.v, 0.0)
-        car.move(request.force, request.hold)
+    controller = _controller(3000.0, SpeedControl(CAR, drive=None, brakes=None), stops=stops, top_speed=14.0)
+    _drive(PointMass(14.0, CAR.mass, drive, brakes), controller, 3000)
     learned = controller.learned
     assert learned["drive"].lag + learned["drive"].dead_time == pytest.approx(0.55, abs=0.04)
     assert learned["brakes"].lag + learned["brakes"].dead_time == pytest.approx(0.45, abs=0.04)
@@ -244,7 +240,7 @@ def test_a_plan_at_even_places_has_the_speed_curvature_slope_and_bank_of_its_roa
     road = road_through(np.stack([60.0 * np.cos(angle), 40.0 * np.sin(angle)], axis=-1), closed=closed)
     road = road.replace(grade=((0.0, 50.0, 90.0), (0.1, -0.05, 0.02)), bank=((20.0, 70.0), (0.0, 0.1)))
     plan = plan_speed(road, CAR, COMFORT, stops=[Stop(100.0, 3.0)])
-    path = speed_path(road, plan, stop_at_end=True)
+    path = speed_control.speed_path(road, plan, stop_at_end=True)
     s = np.arange(path.square.size) * path.spacing
     assert path.spacing == pytest.approx(0.5, rel=0.01)
     np.testing.assert_allclose(path.square, plan.at(s) ** 2, rtol=1e-12)
@@ -286,25 +282,24 @@ def test_a_simulated_car_is_driven_by_a_speed_control_as_near_to_its_plan_as_by_
     assert np.sqrt(np.mean(error**2)) < 0.2
 
 
+def _tracker(length: float, controller: Any, *, comfort: Comfort = COMFORT, **plan: Any) -> Tracker:
+    """A controller with a speed control on a straight road (m), with a plan of these options."""
+    road = _straight(length)
+    return Tracker(controller, road, plan=plan_speed(road, CAR, comfort, **plan), speed=SpeedControl(CAR))
+
+
 def _track(tracker: Tracker, car: PointMass, periods: int, has_position=lambda k: True) -> list:
     answers = []
     for k in range(periods):
-        x = car.s if has_position(k) else math.nan
-        answers.append(
-            tracker.step(
-                k * PERIOD, x, 0.0 if has_position(k) else math.nan, 0.0 if has_position(k) else math.nan, car.v, 0.0
-            )
-        )
+        pose = (car.s, 0.0, 0.0) if has_position(k) else (math.nan,) * 3
+        answers.append(tracker.step(k * PERIOD, *pose, car.v, 0.0))
         request = answers[-1].longitudinal
         car.move(request.force, request.hold)
     return answers
 
 
 def test_a_tracker_stops_at_the_end_of_its_path_and_holds_the_car() -> None:
-    road = _straight(200.0)
-    tracker = Tracker(
-        MPC(CAR, profile="road"), road, plan=plan_speed(road, CAR, top_speed=10.0), speed=SpeedControl(CAR)
-    )
+    tracker = _tracker(200.0, MPC(CAR, profile="road"), comfort=Comfort(), top_speed=10.0)
     car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
     answers = _track(tracker, car, 700)
     assert car.v == 0.0
@@ -315,9 +310,7 @@ def test_a_tracker_stops_at_the_end_of_its_path_and_holds_the_car() -> None:
 
 @pytest.mark.parametrize(("speed", "strongest"), [(2.5, 1.3 * COMFORT.brake), (4.5, 8.0)])
 def test_without_a_position_a_car_stands_before_the_steering_loses_its_estimate(speed, strongest) -> None:
-    road = _straight(900.0)
-    plan = plan_speed(road, CAR, COMFORT, top_speed=speed)
-    tracker = Tracker(MPC(CAR, profile="road"), road, plan=plan, speed=SpeedControl(CAR))
+    tracker = _tracker(900.0, MPC(CAR, profile="road"), top_speed=speed)
     assert speed < tracker.blind_top_speed
     car = PointMass(speed, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
     answers = _track(tracker, car, 200, has_position=lambda k: k < 60)
@@ -332,9 +325,7 @@ def test_without_a_position_a_car_stands_before_the_steering_loses_its_estimate(
 @pytest.mark.parametrize("has_position", [True, False])
 @pytest.mark.parametrize("status", list(Status))
 def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position, monkeypatch) -> None:
-    road = _straight(900.0)
-    plan = plan_speed(road, CAR, COMFORT, top_speed=5.0)
-    tracker = Tracker(MPC(CAR, profile="road"), road, plan=plan, speed=SpeedControl(CAR))
+    tracker = _tracker(900.0, MPC(CAR, profile="road"), top_speed=5.0)
     car = PointMass(5.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
     before = _track(tracker, car, 40)[-1].longitudinal
 
@@ -378,8 +369,7 @@ def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position
 
 
 def test_without_a_speed_the_car_makes_a_comfortable_stop() -> None:
-    road = _straight(900.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=8.0), PERIOD)
+    controller = _controller(900.0, top_speed=8.0)
     car = PointMass(8.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
     requests = []
     for k in range(240):
@@ -392,8 +382,7 @@ def test_without_a_speed_the_car_makes_a_comfortable_stop() -> None:
 
 @pytest.mark.parametrize("seconds", [1.0, 3.0, 5.0])
 def test_a_speed_that_returns_after_it_was_missing_is_no_fault_and_the_car_drives_on(seconds) -> None:
-    road = _straight(900.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=20.0), PERIOD)
+    controller = _controller(900.0, top_speed=20.0)
     car = PointMass(20.0, CAR.mass, DriveActuator(lag=0.2, dead_time=0.1), BrakeActuator(lag=0.2, dead_time=0.1))
     missing = range(round(12.0 / PERIOD), round((12.0 + seconds) / PERIOD))
     for k in range(round(40.0 / PERIOD)):
@@ -405,9 +394,9 @@ def test_a_speed_that_returns_after_it_was_missing_is_no_fault_and_the_car_drive
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_loop_whose_calls_come_late_and_skip_instants_stops_at_its_end_and_reports_no_fault(seed) -> None:
-    rng, road = np.random.default_rng(seed), _straight(400.0)
-    plan = plan_speed(road, CAR, Comfort(brake=3.0), stops=[Stop(150.0, 2.0), Stop(300.0, 2.0)], top_speed=14.0)
-    tracker = Tracker(PurePursuit(CAR, period=PERIOD), road, plan=plan, speed=SpeedControl(CAR))
+    rng, stops = np.random.default_rng(seed), [Stop(150.0, 2.0), Stop(300.0, 2.0)]
+    law = PurePursuit(CAR, period=PERIOD)
+    tracker = _tracker(400.0, law, comfort=Comfort(brake=3.0), stops=stops, top_speed=14.0)
     car, limits = PointMass(10.0, CAR.mass, DriveActuator(lag=0.1), BrakeActuator(lag=0.05)), set()
     for k in range(1200):
         t = PERIOD * k
@@ -420,12 +409,15 @@ def test_a_loop_whose_calls_come_late_and_skip_instants_stops_at_its_end_and_rep
 
 
 def test_a_driver_hands_over_without_a_bump_and_teaches_nothing() -> None:
-    road = _straight(900.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)
+    controller = _controller(900.0, top_speed=14.0)
     car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1), slope=0.4)
-    before = {
-        name: belief._replace(speed=0.0, acting=0.0, acting_sigma=0.0) for name, belief in controller.learned.items()
-    }
+
+    def lasting() -> dict[str, Any]:
+        """What is learned, but for what acts now."""
+        still = {"speed": 0.0, "acting": 0.0, "acting_sigma": 0.0}
+        return {name: belief._replace(**still) for name, belief in controller.learned.items()}
+
+    before = lasting()
     for k in range(200):
         driver = k < 60
         request = controller.step(car.s, car.v, 0.0, driver=driver)
@@ -433,11 +425,7 @@ def test_a_driver_hands_over_without_a_bump_and_teaches_nothing() -> None:
         if driver and k > 30:
             assert (request.state, request.limited_by) == (SpeedState.OFF, SpeedLimit.DRIVER)
             assert request.acceleration == pytest.approx(0.8, abs=0.05)
-            learned = {
-                name: belief._replace(speed=0.0, acting=0.0, acting_sigma=0.0)
-                for name, belief in controller.learned.items()
-            }
-            assert learned == before
+            assert lasting() == before
             last = request.acceleration
         elif not driver and k < 70:
             assert abs(request.acceleration - last) < 0.3  # 5 m/s^3 and the follower's own
@@ -449,16 +437,13 @@ def test_a_driver_hands_over_without_a_bump_and_teaches_nothing() -> None:
 
 def test_the_speed_is_limited_until_the_delay_of_the_steering_is_learned() -> None:
     mpc = MPC(CAR, belief="unknown", learning=Learning())
-    road = _straight(900.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=30.0), PERIOD)
+    controller = _controller(900.0, top_speed=30.0)
     controller.limit_speed(mpc)
     assert controller.top_speed == mpc.learner.first_top_speed < 30.0
     car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
-    for _ in range(400):
-        request = controller.step(car.s, car.v, 0.0)
-        car.move(request.force, request.hold)
+    steps = _drive(car, controller, 400)
     assert car.v == pytest.approx(mpc.learner.first_top_speed, abs=0.1)
-    assert request.limited_by == SpeedLimit.STEERING
+    assert steps[-1].request.limited_by == SpeedLimit.STEERING
     for sigma, top_speed in ((0.2, mpc.learner.first_top_speed), (0.01, math.inf)):
         loop = _loop_that_learned(mpc, sigma)
         loop.roll_on(1)
@@ -477,70 +462,55 @@ def _loop_that_learned(mpc: MPC, sigma: float) -> ClosedLoop:
     return (loop := ClosedLoop(world, drive, 1, mpc, step))
 
 
-def _drive(car: PointMass, controller: SpeedController, periods: int, **faults: object) -> list:
-    """Answers while a car is driven, with its speed and place before each: (request, speed, place)."""
-    rows = []
-    for _ in range(periods):
-        rows.append((controller.step(car.s, car.v, 0.0), car.v, car.s))
-        car.move(rows[-1][0].force, rows[-1][0].hold, **faults)
-    return rows
-
-
 @pytest.mark.parametrize(("lag", "dead_time"), [(0.1, 0.1), (0.4, 0.2)])
 def test_brakes_without_effect_are_reported_within_a_second(lag, dead_time) -> None:
-    road = _straight(900.0)
-    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(150.0, 1.0), Stop(300.0, 1.0)], top_speed=12.0)
+    stops = [Stop(150.0, 1.0), Stop(300.0, 1.0)]
     car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=lag, dead_time=dead_time))
-    controller = SpeedController(SpeedControl(CAR, drive=None, brakes=None), road, plan, PERIOD)
-    rows = _drive(car, controller, 450)
+    controller = _controller(900.0, SpeedControl(CAR, drive=None, brakes=None), stops=stops, top_speed=12.0)
+    steps = _drive(car, controller, 450)
     assert 160.0 < car.s < 270.0
-    assert rows[-1][0].limited_by is not SpeedLimit.BRAKE_FAULT
-    rows = _drive(car, controller, 400, has_brakes=False)
-    braking = next(k for k, (request, *_) in enumerate(rows) if request.acceleration < -1.0)
-    report = next(k for k, (request, *_) in enumerate(rows) if request.limited_by is SpeedLimit.BRAKE_FAULT)
+    assert steps[-1].request.limited_by is not SpeedLimit.BRAKE_FAULT
+    requests = [step.request for step in _drive(car, controller, 400, has_brakes=False)]
+    braking = next(k for k, request in enumerate(requests) if request.acceleration < -1.0)
+    report = next(k for k, request in enumerate(requests) if request.limited_by is SpeedLimit.BRAKE_FAULT)
     assert 0.0 < (report - braking) * PERIOD <= 1.0
-    assert rows[-1][0].limited_by is SpeedLimit.BRAKE_FAULT
-    assert rows[-1][0].force < 0.0
-    rows = _drive(car, controller, 60)  # the brakes work again
-    assert rows[-1][0].limited_by is not SpeedLimit.BRAKE_FAULT
+    assert requests[-1].limited_by is SpeedLimit.BRAKE_FAULT
+    assert requests[-1].force < 0.0
+    steps = _drive(car, controller, 60)  # the brakes work again
+    assert steps[-1].request.limited_by is not SpeedLimit.BRAKE_FAULT
 
 
 @pytest.mark.parametrize("stuck", [2.5, 4.0])
 def test_a_stuck_throttle_is_braked_against_reported_and_stopped(stuck) -> None:
-    road = _straight(900.0)
-    plan = plan_speed(road, CAR, COMFORT, top_speed=12.0)
     car = PointMass(12.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.2, dead_time=0.1))
-    controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+    controller = _controller(900.0, top_speed=12.0)
     _drive(car, controller, 60)
-    rows = _drive(car, controller, 400, stuck_drive=stuck * CAR.mass)
+    steps = _drive(car, controller, 400, stuck_drive=stuck * CAR.mass)
     faults = {SpeedLimit.DRIVE_FAULT, SpeedLimit.BRAKE_FAULT}  # a pull that the brakes nearly balance could be either
-    report = next(k for k, (request, *_) in enumerate(rows) if request.limited_by in faults)
+    report = next(k for k, step in enumerate(steps) if step.request.limited_by in faults)
     assert report * PERIOD < 2.0
-    assert max(speed for _, speed, _ in rows) < 14.0
+    assert max(step.speed for step in steps) < 14.0
     assert car.v == 0.0
     if stuck > 3.0:
-        assert rows[-1][0].limited_by is SpeedLimit.DRIVE_FAULT
+        assert steps[-1].request.limited_by is SpeedLimit.DRIVE_FAULT
         _drive(car, controller, 40)
         assert car.v == 0.0  # until a driver has used the pedals
     controller.step(car.s, car.v, 0.0, driver=True)
-    assert _drive(car, controller, 20)[-1][0].limited_by not in faults
+    assert _drive(car, controller, 20)[-1].request.limited_by not in faults
 
 
-def _stopping_drive(stop: Stop, *, station: float = 0.0, speed: float = 8.0, length: float = 400.0):
+def _stopping_drive(stop: Stop, *, station: float = 0.0, speed: float = 8.0) -> tuple[PointMass, SpeedController]:
     """A car at a station on a straight road with one stop, and its controller."""
-    road = _straight(length)
-    plan = plan_speed(road, CAR, COMFORT, stops=[stop], top_speed=speed)
-    car = PointMass(speed, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.15, dead_time=0.1))
+    drive, brakes = DriveActuator(lag=0.2), BrakeActuator(lag=0.15, dead_time=0.1)
+    car = PointMass(speed, CAR.mass, drive, brakes)
     car.s = station
-    control = SpeedControl(CAR, drive=DriveActuator(lag=0.2), brakes=BrakeActuator(lag=0.15, dead_time=0.1))
-    return car, SpeedController(control, road, plan, PERIOD)
+    return car, _controller(400.0, SpeedControl(CAR, drive=drive, brakes=brakes), stops=[stop], top_speed=speed)
 
 
 def test_a_car_stops_in_a_bend_at_friction_0_3_within_its_grip() -> None:
     radius, friction = 25.0, 0.3
     road = Road.from_segments([Line(length=60.0), Arc(length=70.0, curvature=1.0 / radius)], name="bend")
-    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(110.0, 5.0)])
-    controller = SpeedController(SpeedControl(CAR, friction=friction), road, plan, PERIOD)
+    controller = _controller(road, SpeedControl(CAR, friction=friction), stops=[Stop(110.0, 5.0)])
     car = PointMass(8.0, CAR.mass, DriveActuator(lag=0.1), BrakeActuator(lag=0.1, dead_time=0.1))
     for _ in range(500):
         curvature = 1.0 / radius if car.s > 60.0 else 0.0
@@ -554,38 +524,35 @@ def test_a_car_stops_in_a_bend_at_friction_0_3_within_its_grip() -> None:
 
 def test_a_stop_nearer_than_comfort_reaches_is_an_emergency_and_is_reached_where_friction_allows() -> None:
     car, controller = _stopping_drive(Stop(100.0, 5.0), station=80.0, speed=12.0)
-    rows = _drive(car, controller, 100)
-    assert SpeedState.EMERGENCY in {request.state for request, *_ in rows}
-    assert rows[-1][0].state is SpeedState.STOPPED
+    states = [step.request.state for step in _drive(car, controller, 100)]
+    assert SpeedState.EMERGENCY in states
+    assert states[-1] is SpeedState.STOPPED
     assert car.s == pytest.approx(100.0, abs=1.0)
 
 
 def test_a_car_dwells_at_a_stop_for_its_seconds_or_until_it_is_released() -> None:
     car, controller = _stopping_drive(Stop(60.0, 3.0))
-    stands = [request.state is SpeedState.STOPPED for request, *_ in _drive(car, controller, 400)]
+    stands = [step.request.state is SpeedState.STOPPED for step in _drive(car, controller, 400)]
     assert sum(stands) * PERIOD == pytest.approx(3.0, abs=0.11)
     assert car.s > 70.0
     car, controller = _stopping_drive(Stop(60.0, 1e6))
-    assert _drive(car, controller, 400)[-1][0].limited_by is SpeedLimit.STOP
+    assert _drive(car, controller, 400)[-1].request.limited_by is SpeedLimit.STOP
     assert car.v == 0.0
     controller.release()
-    assert _drive(car, controller, 60)[-1][0].state is SpeedState.DRIVING
+    assert _drive(car, controller, 60)[-1].request.state is SpeedState.DRIVING
     assert car.v > 1.0
 
 
 def test_a_plan_that_is_replaced_on_the_way_to_a_stop_changes_neither_place_nor_braking() -> None:
     def places(replaces: bool) -> tuple[float, float]:
         car, controller = _stopping_drive(Stop(60.0, 1e6))
-        path, plan = (
-            _straight(400.0),
-            plan_speed(_straight(400.0), CAR, COMFORT, stops=[Stop(60.0, 1e6)], top_speed=8.0),
-        )
-        strongest = 0.0
+        path, strongest = _straight(400.0), 0.0
+        plan = plan_speed(path, CAR, COMFORT, stops=[Stop(60.0, 1e6)], top_speed=8.0)
         for k in range(300):
             if replaces and k % 7 == 0 and car.s > 40.0 and car.v > 0.0:
                 controller.follow(path, plan)
-            (request, *_), *_ = _drive(car, controller, 1)
-            strongest = min(strongest, request.acceleration)
+            (step,) = _drive(car, controller, 1)
+            strongest = min(strongest, step.request.acceleration)
         return car.s, strongest
 
     original = places(replaces=False)
@@ -595,15 +562,14 @@ def test_a_plan_that_is_replaced_on_the_way_to_a_stop_changes_neither_place_nor_
 
 @pytest.mark.parametrize("grade", [-0.05, 0.05])
 def test_a_grade_that_is_wrong_by_5_percent_is_absorbed(grade) -> None:
-    road = _straight(600.0)
-    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)
+    controller = _controller(600.0, top_speed=14.0)
     car = PointMass(14.0, CAR.mass, DriveActuator(lag=0.3, dead_time=0.1), BrakeActuator(lag=0.15, dead_time=0.15))
     errors = []
     for _ in range(700):
         car._slope = GRAVITY * grade * min(max((car.s - 100.0) / 20.0, 0.0), 1.0)
-        (_, speed, place), *_ = _drive(car, controller, 1)
-        if 80.0 < place < 400.0:
-            errors.append(speed - 14.0)
+        (step,) = _drive(car, controller, 1)
+        if 80.0 < step.place < 400.0:
+            errors.append(step.speed - 14.0)
     assert len(errors) > 400
     assert np.sqrt(np.mean(np.square(errors))) < 0.3
 
@@ -611,8 +577,7 @@ def test_a_grade_that_is_wrong_by_5_percent_is_absorbed(grade) -> None:
 @pytest.mark.parametrize("speed", [10.0, 16.0, 24.0])
 def test_braking_that_holds_the_speed_on_an_unknown_descent_is_no_fault(speed) -> None:
     """From 8 % up to 10 % down within 50 m, with 1 % of noise of the speed."""
-    road = _straight(45.0 * speed)
-    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=speed), PERIOD)
+    controller = _controller(45.0 * speed, top_speed=speed)
     car = PointMass(speed, CAR.mass, DriveActuator(lag=0.25, dead_time=0.15), BrakeActuator(lag=0.12, dead_time=0.1))
     noise = np.random.default_rng(3)
     for _ in range(500):
@@ -643,7 +608,7 @@ def test_a_car_that_creeps_against_its_brakes_is_held_within_the_tolerance_of_it
     """A mass of 1.4 times on a descent of 10 %, both unknown: the usual hold pressure is not enough."""
     car, controller = _stopping_drive(Stop(60.0, 1e6))
     car._mass, car._slope = 1.4 * car._mass, -0.1 * GRAVITY
-    places = [place for request, _, place in _drive(car, controller, 900) if request.state is SpeedState.STOPPED]
+    places = [step.place for step in _drive(car, controller, 900) if step.request.state is SpeedState.STOPPED]
     assert len(places) > 300
     assert car.v == 0.0
     assert np.abs(np.array(places) - 60.0).max() < STOP_TOLERANCE

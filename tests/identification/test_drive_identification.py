@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from adaptrack import MPC, DualTrack, RoadDrive, SpeedControl, load_vehicle, simulate
+from adaptrack import MPC, DualTrack, RoadDrive, SpeedControl, Vehicle, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.cli.app import app
@@ -16,6 +16,7 @@ from adaptrack.core.identification import drive as kernel
 from adaptrack.identification import DriveIdentification, identify_drive
 from adaptrack.identification.hypotheses import Evidence, compare
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
+from identification.logs import write_csv
 from pedal_cars import BRAKE_DEAD_TIME, BRAKE_LAG, DRIVE_DEAD_TIME, DRIVE_LAG, PedalCar
 
 pytestmark = pytest.mark.kernels
@@ -61,7 +62,7 @@ def _identified() -> DriveIdentification:
     return identify_drive(_log(), CAR)
 
 
-def test_with_the_true_quantities_the_innovations_are_those_of_the_integration_step() -> None:
+def test_with_the_true_quantities_the_innovations_are_those_of_the_integration_step():
     time, request, speed = _integrated(0)
     rows = np.stack([time, request, speed, np.eye(1, time.size)[0]])
     values = TRUTH | {"push_spread": 0.1, "push_time": 5.0, "jolt": 0.01, "noise_speed": 0.01}
@@ -71,7 +72,7 @@ def test_with_the_true_quantities_the_innovations_are_those_of_the_integration_s
 
 
 @pytest.mark.compiled
-def test_lag_dead_time_gain_and_resistance_come_back_within_their_intervals() -> None:
+def test_lag_dead_time_gain_and_resistance_come_back_within_their_intervals():
     for name, value in TRUTH.items():
         estimate = _identified().estimates[name]
         assert estimate.low <= value <= estimate.high, name
@@ -79,7 +80,7 @@ def test_lag_dead_time_gain_and_resistance_come_back_within_their_intervals() ->
 
 
 @pytest.mark.compiled
-def test_a_force_and_the_same_acceleration_give_the_same_drive_and_brakes() -> None:
+def test_a_force_and_the_same_acceleration_give_the_same_drive_and_brakes():
     accelerated = identify_drive(_log("acceleration_command"), CAR)
     for name in ("drive_lag", "drive_dead_time", "drive_gain", "brake_lag", "brake_gain"):
         estimate = _identified().estimates[name]
@@ -90,7 +91,7 @@ def test_a_force_and_the_same_acceleration_give_the_same_drive_and_brakes() -> N
 
 
 @pytest.mark.compiled
-def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back() -> None:
+def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back():
     road = Road.from_segments([Line(length=900.0)], name="straight")
     road = road.replace(grade=([0.0, 300.0, 350.0, 900.0], [0.0, 0.0, 0.03, -0.02]))
     plan = plan_speed(road, CAR, Comfort(accelerate=1.5), stops=[Stop(280.0, 1.0), Stop(600.0, 1.0)], top_speed=16.0)
@@ -105,7 +106,7 @@ def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back() -> No
 
 
 @pytest.mark.compiled
-def test_two_logs_of_one_car_narrow_the_intervals() -> None:
+def test_two_logs_of_one_car_narrow_the_intervals():
     both = identify_drive([_log(), _log(seed=1)], CAR)
     for name in ("drive_lag", "brake_gain"):
         single, joint = _identified().estimates[name], both.estimates[name]
@@ -113,24 +114,26 @@ def test_two_logs_of_one_car_narrow_the_intervals() -> None:
         assert joint.low <= TRUTH[name] <= joint.high
 
 
-@pytest.mark.compiled
-def test_a_car_file_of_the_command_drives_a_speed_control_with_known_delays(tmp_path) -> None:
-    log, car = tmp_path / "log.csv", tmp_path / "my-car.toml"
-    columns = _log()
-    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
-    result = CliRunner().invoke(
-        app, ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(car)]
-    )
+def _car_of_the_command(tmp_path, columns: dict[str, np.ndarray]) -> tuple[Vehicle, str]:
+    """The car that `identify --longitudinal` writes for a log, and what it prints."""
+    log, car = write_csv(tmp_path / "log.csv", columns), tmp_path / "my-car.toml"
+    command = ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(car)]
+    result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
-    assert "Gain and mass are one number" in " ".join(result.output.split())
-    vehicle = load_vehicle(car)
+    return load_vehicle(car), result.output
+
+
+@pytest.mark.compiled
+def test_a_car_file_of_the_command_drives_a_speed_control_with_known_delays(tmp_path):
+    vehicle, output = _car_of_the_command(tmp_path, _log())
+    assert "Gain and mass are one number" in " ".join(output.split())
     assert vehicle.drive.lag == pytest.approx(_identified().estimates["drive_lag"].value, rel=1e-3)
     settings = SpeedControl(vehicle).settings(PERIOD, Comfort())
     assert settings.brake_dead_time == vehicle.brakes.dead_time
 
 
 @pytest.mark.compiled
-def test_what_the_log_cannot_tell_keeps_its_value_and_is_reported() -> None:
+def test_what_the_log_cannot_tell_keeps_its_value_and_is_reported():
     log = _log()
     log["force_command"] = np.maximum(log["force_command"], 0.0)
     identification = identify_drive(log, CAR.replace(brakes=BRAKES))
@@ -152,7 +155,7 @@ _PEDAL = np.where(_REQUEST > 0.0, _REQUEST / 5.0, _REQUEST / 9.0)
     ({"force_command": None, "throttle": 100.0 * _PEDAL, "brake": 0.0 * _PEDAL}, "--units throttle=%"),
     ({"force_command": None, "throttle": np.abs(_PEDAL), "brake": 0.0 * _PEDAL}, "hardly any braking"),
 ])  # fmt: skip
-def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -> None:
+def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message):
     log = {name: values for name, values in (_log() | changes).items() if values is not None}
     with pytest.raises(InvalidInput, match=message):
         identify_drive(log, CAR)
@@ -170,9 +173,7 @@ def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -
     ("longitudinal_acceleration", -_CHANGE, "--flip longitudinal_acceleration"),
     ("longitudinal_acceleration", _CHANGE / 9.81, "in g"),
 ])  # fmt: skip
-def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit_is_wrong(
-    signal, values, message
-) -> None:
+def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit_is_wrong(signal, values, message):
     contradictions = [
         agreement.contradiction
         for agreement in compare(Evidence({"time": _TIME, "speed": _SPEED, signal: values}, mass=CAR.mass), "speed")
@@ -183,17 +184,15 @@ def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit
     assert bool(message) == bool(contradictions[0])
 
 
-def test_gravity_in_a_measured_acceleration_is_possible_and_no_contradiction() -> None:
+def test_gravity_in_a_measured_acceleration_is_possible_and_no_contradiction():
     values = {"time": _TIME, "speed": _SPEED, "longitudinal_acceleration": _CHANGE + _GRAVITY}
     *_, agreement = compare(Evidence(values, mass=CAR.mass), "speed")
     assert not agreement.contradiction
     assert "possibly it contains gravity" in agreement.possibility
 
 
-def test_a_command_in_the_wrong_unit_is_found_by_the_command_and_refused_by_the_fit(tmp_path) -> None:
-    file = tmp_path / "loop.csv"
-    columns = {"time": _TIME, "speed": _SPEED, "accel_cmd": 100.0 * _PEDAL}
-    np.savetxt(file, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+def test_a_command_in_the_wrong_unit_is_found_by_the_command_and_refused_by_the_fit(tmp_path):
+    file = write_csv(tmp_path / "loop.csv", {"time": _TIME, "speed": _SPEED, "accel_cmd": 100.0 * _PEDAL})
     result = CliRunner().invoke(app, ["check-loop", str(file)])
     assert result.exit_code == 3, result.output
     assert "per cent" in " ".join(result.output.split())
@@ -217,15 +216,10 @@ def _pedal_log() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.compiled
-def test_a_log_of_pedals_gives_the_pedal_map_lags_and_dead_times(tmp_path) -> None:
-    log, file = tmp_path / "log.csv", tmp_path / "my-car.toml"
+def test_a_log_of_pedals_gives_the_pedal_map_lags_and_dead_times(tmp_path):
     columns = {name if name in ("time", "speed") else f"{name} [%]": values for name, values in _pedal_log().items()}
     columns |= {name: 100.0 * values for name, values in columns.items() if "%" in name}
-    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
-    command = ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(file)]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
-    identified, car = load_vehicle(file), PedalCar(CAR, 0.01)
+    (identified, _), car = _car_of_the_command(tmp_path, columns), PedalCar(CAR, 0.01)
     delays = [getattr(part, name) for part in (identified.drive, identified.brakes) for name in ("lag", "dead_time")]
     assert delays == pytest.approx([DRIVE_LAG, DRIVE_DEAD_TIME, BRAKE_LAG, BRAKE_DEAD_TIME], abs=0.03)
     for speed in (1.5, 5.0, 9.0):

@@ -17,17 +17,7 @@ from adaptrack.cli.app import app
 SOURCE = Path(adaptrack.__file__).parent
 PUBLIC = {name: getattr(importlib.import_module(module), name) for module, name in described()}
 MEMBERS = {member for subject in PUBLIC.values() if inspect.isclass(subject) for member in dir(subject)}
-NOTATION = {
-    "cond",
-    "d",
-    "f",
-    "y_ref",
-    "var",
-    "UINT64_C",
-    "sizeof",
-    "adaptrack_connect",
-    "adaptrack_renew",
-}
+NOTATION = {"cond", "d", "f", "y_ref", "var", "UINT64_C", "sizeof", "adaptrack_connect", "adaptrack_renew"}
 """Functions of mathematics, CSS and C, and those of an export."""
 PROGRAM = typer.main.get_command(app)
 

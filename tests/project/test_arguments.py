@@ -44,7 +44,7 @@ def refusal(call: Any, *arguments: Any) -> str:
     return str(refused.value)
 
 
-def test_what_is_no_array_of_numbers_is_refused_in_a_short_sentence() -> None:
+def test_what_is_no_array_of_numbers_is_refused_in_a_short_sentence():
     plant, friction = at.SingleTrack(CAR), at.FrictionWindEstimator(CAR, period=0.05)
     still, around = plant.initial_state([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), [0.9] * 4 + [0.0] * 2
     calls = {
@@ -83,7 +83,7 @@ def annotations_of(call: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", sorted(set(CALLS) - RESULTS - BY_HAND))
-def test_an_object_of_a_wrong_kind_is_refused_by_every_public_call(name: str) -> None:
+def test_an_object_of_a_wrong_kind_is_refused_by_every_public_call(name):
     call = CALLS[name]
     if isinstance(call, type) and (call.__init__ is object.__init__ or issubclass(call, Exception | enum.Enum)):
         return
@@ -94,7 +94,7 @@ def test_an_object_of_a_wrong_kind_is_refused_by_every_public_call(name: str) ->
         assert argument in str(refused.value)
 
 
-def test_swapped_arguments_are_named_with_what_they_must_be() -> None:
+def test_swapped_arguments_are_named_with_what_they_must_be():
     run = at.simulate(at.SingleTrack(CAR), at.PurePursuit(CAR), at.load_scenario("step", duration=1.0))
     assert "plan_speed: road = Vehicle(" in refusal(at.plan_speed, CAR, ROAD)
     assert refusal(at.plan_speed, CAR, ROAD).endswith(": must be a Road.")
@@ -108,7 +108,7 @@ def test_swapped_arguments_are_named_with_what_they_must_be() -> None:
     assert refusal(at.register_plant, "mine", 3).endswith("must be a function or text.")
 
 
-def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence() -> None:
+def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence():
     tracker = at.Tracker(at.PurePursuit(CAR, period=0.05), ROAD)
     calls = {
         "real": lambda value: real("here", "x", value), "station": lambda value: at.RoadAhead(ROAD, value, [1.0]),
@@ -126,7 +126,7 @@ def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence()
         refusal(whole_number, "here", "n", value)
 
 
-def test_numbers_too_large_for_one_are_refused_where_they_must_be_finite() -> None:
+def test_numbers_too_large_for_one_are_refused_where_they_must_be_finite():
     for value in TOO_LARGE:
         assert "finite" in refusal(at.yaw_of, [value] * 4)
         assert "finite" in refusal(at.RoadAhead, ROAD, 0.0, [value])
@@ -134,14 +134,14 @@ def test_numbers_too_large_for_one_are_refused_where_they_must_be_finite() -> No
 
 
 @pytest.mark.parametrize("make", [at.LQR, at.PurePursuit, at.MPC, at.published_mpc])
-def test_what_is_no_road_ahead_is_refused_and_moves_no_command(make: Any) -> None:
+def test_what_is_no_road_ahead_is_refused_and_moves_no_command(make):
     controller = make(CAR, period=0.05)
     for value in ("text", ROAD, 3.0, {}, [ROAD], object()):
         assert "RoadAhead" in refusal(lambda road: controller.step([0.0] * 4, 10.0, [1.0], road=road), value)
     assert controller.angle == 0.0
 
 
-def test_numbers_of_every_kind_are_read_and_what_is_masked_is_not_a_number() -> None:
+def test_numbers_of_every_kind_are_read_and_what_is_masked_is_not_a_number():
     numbers = [
         1, 2.5, np.float32(0.5), np.int8(-3), decimal.Decimal("0.25"), fractions.Fraction(3, 4), 10**400, -(2**70),
     ]  # fmt: skip
@@ -152,7 +152,7 @@ def test_numbers_of_every_kind_are_read_and_what_is_masked_is_not_a_number() -> 
     assert reals("x", row) is row
 
 
-def test_a_value_in_a_message_is_short_whatever_it_is() -> None:
+def test_a_value_in_a_message_is_short_whatever_it_is():
     class Broken:
         def __repr__(self) -> str:
             raise RuntimeError
@@ -348,14 +348,14 @@ def bounds_in(annotation: Any, name: str) -> Iterator[Bound]:
 
 
 @pytest.mark.parametrize("name", sorted(public_calls()))
-def test_every_bound_in_an_annotation_has_a_row(name: str) -> None:
+def test_every_bound_in_an_annotation_has_a_row(name):
     annotations = annotations_of(public_calls()[name])
     bounds = {bound for argument, kind in annotations.items() for bound in bounds_in(kind, argument)}
     assert bounds == read_row(BOUNDS.get(name, ""))
 
 
 @pytest.mark.parametrize("name", sorted({name for name in public_calls() if "." not in name} - RECORDS))
-def test_every_number_without_a_bound_in_its_annotation_has_a_row(name: str) -> None:
+def test_every_number_without_a_bound_in_its_annotation_has_a_row(name):
     annotations = annotations_of(public_calls()[name])
     plain = {argument for argument, kind in annotations.items() if {int, float} & set(checks._parts(kind))}
     rows = {bound.argument for bound in read_row(IN_BODIES[name][1] if name in IN_BODIES else "")}
@@ -371,7 +371,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize(("call", "bound"), [row[1:] for row in ROWS], ids=[f"{row[0]} {row[2]}" for row in ROWS])
-def test_what_lies_just_beyond_a_bound_is_refused_and_the_bound_is_not(call: Any, bound: Bound) -> None:
+def test_what_lies_just_beyond_a_bound_is_refused_and_the_bound_is_not(call, bound):
     name = re.escape(bound.argument).replace("_", "[_ ]")
     for value in bound.refused():
         with pytest.raises(InvalidInput, match=rf"{name}.*{re.escape(format_value(value))}"):

@@ -13,8 +13,6 @@ from benchmarks.planted_faults import read_faults
 from tools import bench
 
 import adaptrack as at
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import Tuning, published_mpc
 
 
 @pytest.mark.compiled
@@ -30,8 +28,8 @@ def test_a_benchmark_prints_its_figures(name, figure, monkeypatch, capsys):
 
 
 def test_the_numpy_baseline_finds_the_moves_of_the_compiled_controller():
-    car = load_vehicle("paper")
-    plain, mpc = bench.PlainController(car, Tuning()), published_mpc(car)
+    car = at.load_vehicle("paper")
+    plain, mpc = bench.PlainController(car, at.Tuning()), at.published_mpc(car)
     for state in ([0.0, 0.0, 0.0, 0.0], [0.05, 0.01, 0.02, 0.3], [0.02, 0.03, -0.01, 0.9]):
         commands = [controller.step(np.array(state), 20.0, np.array([3.0])) for controller in (plain, mpc)]
         assert commands[0].angle == pytest.approx(commands[1].angle, abs=1e-7)
@@ -41,10 +39,9 @@ QUICK = (
     "against_release.py . --only arrays/road-geometry --folder {folder}",
     "circuits.py --made 1 --no-holds --car midsize-sedan --profile road --lateral 4 --seed 5",
     "code_figures.py --table", "estimating.py --runs 1", "foreign_loop.py --seeds 1", "holding.py --drives 3",
-    "late_samples.py late --drives 1", "learned_belief.py --train 28 --test 4", "learning.py --cars 1",
-    "population.py --cars 10", "roads_driven.py gate --length 300 --car paper",
-    "tuned_cars.py --vehicle van --profile road", "unknown_cars.py --cars 2 --profile road",
-    "wrong_inputs.py honest --drives 1",
+    "late_samples.py late --drives 1", "learned_belief.py --train 28 --test 4", "population.py --cars 10",
+    "roads_driven.py gate --length 300 --car paper", "tuned_cars.py --vehicle van --profile road",
+    "unknown_cars.py --cars 2 --profile road", "wrong_inputs.py honest --drives 1",
 )  # fmt: skip
 """Benchmarks with the arguments of their quick form."""
 
@@ -76,7 +73,7 @@ def test_a_car_in_an_engine_that_is_not_ours_is_driven(option, project):
 @pytest.mark.compiled
 @pytest.mark.slow
 def test_the_log_of_a_car_is_identified_from_its_description(project, tmp_path):
-    run = at.rollout(at.DualTrack(load_vehicle("paper")), at.MPC(load_vehicle("paper"), profile="road"),
+    run = at.rollout(at.DualTrack(at.load_vehicle("paper")), at.MPC(at.load_vehicle("paper"), profile="road"),
                      at.random_drive(3, 60.0), profile="road")  # fmt: skip
     columns = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate}
     rows = np.column_stack(list(columns.values()))

@@ -28,9 +28,8 @@ def check_pages():
 
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (400, "dark")])
 def test_the_page_of_a_drive_has_verdict_and_picture_in_its_first_screen_and_nothing_is_cut(
-    check_pages, tmp_path, monkeypatch, width, scheme
+    check_pages, tmp_path, width, scheme
 ):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     page = write_drive_page(tmp_path, [made_run()])
     assert check_pages.look(page, width, scheme).faults() == []
 

@@ -12,14 +12,11 @@ from tools.fuzz import TARGETS, Failed, load, replay, save, search, shortened
 from tools.fuzz.batch import search_compiled
 from tools.fuzz.inputs import HOSTILE
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import MPC, Learning, Tuning, published_mpc
+import adaptrack as at
 from adaptrack.control.qp import QPStatus
-from adaptrack.control.tracker import Status, Tracker
-from adaptrack.road import Line, Road
+from adaptrack.road import Line
 
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 GOOD = [0.01, 0.002, 0.003, 0.1]
 REFERENCE = np.zeros(1)
 numbers = st.one_of(st.sampled_from(HOSTILE), st.floats())
@@ -84,7 +81,7 @@ def test_what_fails_is_cut_short_saved_and_replayed(tmp_path, monkeypatch):
 def test_a_problem_that_was_not_finite_leaves_nothing_to_a_smaller_one():
     """Its NaN stayed in the padding of E, where the next smaller problem met it for ever."""
     answer = [30, 18, 1.0, 10.0]
-    mpc = published_mpc(CAR, Tuning(30, 18, 1.0, 10.0), period=0.05, scheduler=lambda variables: answer)
+    mpc = at.published_mpc(CAR, at.Tuning(30, 18, 1.0, 10.0), period=0.05, scheduler=lambda variables: answer)
     variables = (10.0, 0.0, 0.6, 0.0)
     assert mpc.step(GOOD, math.nan, REFERENCE, variables).status is QPStatus.NON_FINITE
     answer[:2] = [20, 5]
@@ -97,7 +94,7 @@ def test_a_filter_sees_the_samples_of_a_step_whose_tuning_is_none():
     states = []
     for first in tunings:
         answers = iter([tunings[1], first, tunings[1]])
-        mpc = MPC(CAR, profile="road", scheduler=lambda variables, tunings_in_turn=answers: next(tunings_in_turn))
+        mpc = at.MPC(CAR, profile="road", scheduler=lambda variables, tunings_in_turn=answers: next(tunings_in_turn))
         for k in range(3):
             mpc.applied(0.0)
             mpc.step([0.0, 0.0, 0.01 * k, 0.1 * k], 15.0, REFERENCE, (15.0, 0.0, 0.6, 0.0))
@@ -108,7 +105,7 @@ def test_a_filter_sees_the_samples_of_a_step_whose_tuning_is_none():
 
 @compiled
 def test_a_sample_of_an_absurd_age_is_left_out():
-    mpc = MPC(CAR, profile="road", learning=Learning())
+    mpc = at.MPC(CAR, profile="road", learning=at.Learning())
     for age in (0.0, 1e300, math.inf, -1e300, 0.0):
         step = mpc.step([*GOOD, math.nan, math.nan, 0.0, age, 0.0], 15.0, REFERENCE)
         assert step.status is QPStatus.SOLVED
@@ -117,11 +114,25 @@ def test_a_sample_of_an_absurd_age_is_left_out():
 
 @pytest.mark.parametrize("angle", [2.0, -1e300, math.nan])
 def test_no_wheel_has_such_an_angle(angle):
-    with pytest.raises(InvalidInput, match="applied: angle"):
-        published_mpc(CAR).applied(angle)
+    with pytest.raises(at.InvalidInput, match="applied: angle"):
+        at.published_mpc(CAR).applied(angle)
 
 
-STRAIGHT = Road.from_segments([Line(length=300.0)])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("moves", range(1, 21))
+def test_after_a_step_at_every_limit_a_sample_that_is_not_finite_is_not_solved(moves, value):
+    mpc = at.published_mpc(CAR, at.Tuning(35, moves, 10.0, 0.01))
+    for entry in range(5):
+        mpc.reset()
+        assert mpc.step([0.0, 0.0, 0.0, 0.0], 20.0, [50.0]).status is QPStatus.SOLVED
+        state, reference = [0.0, 0.0, 0.0, 0.0], [50.0]
+        (state if entry < 4 else reference)[entry % 4] = value
+        command = mpc.step(state, 20.0, reference)
+        assert command.status is not QPStatus.SOLVED
+        assert command.held
+
+
+STRAIGHT = at.Road.from_segments([Line(length=300.0)])
 
 
 def call_on_line(tracker, t, x=0.0, **values):
@@ -137,20 +148,20 @@ def call_on_line(tracker, t, x=0.0, **values):
 )  # fmt: skip
 @compiled
 def test_what_no_car_can_have_counts_as_not_measured(absurd):
-    tracker = Tracker(MPC(CAR, profile="road"), STRAIGHT)
+    tracker = at.Tracker(at.MPC(CAR, profile="road"), STRAIGHT)
     for first in (absurd, {}):  # as the first call, and among others
         tracker.engage()
         calls = [{"x": 0.5 * k, **(absurd if k == 5 else first if k == 0 else {})} for k in range(9)]
         steps = [call_on_line(tracker, 0.05 * k, **values) for k, values in enumerate(calls)]
         assert all(math.isfinite(step.command) for step in steps)
         if "now" not in absurd:
-            assert steps[-1].status is Status.OK
+            assert steps[-1].status is at.Status.OK
 
 
 def test_a_path_too_far_away_to_compare_begins_the_tracker_anew():
-    tracker = Tracker(published_mpc(CAR, period=0.05), STRAIGHT)
+    tracker = at.Tracker(at.published_mpc(CAR, period=0.05), STRAIGHT)
     before = call_on_line(tracker, 0.0)
-    tracker.follow(Road.from_segments([Line(length=100.0)], start=(1e6, 1e6, 0.0)))
+    tracker.follow(at.Road.from_segments([Line(length=100.0)], start=(1e6, 1e6, 0.0)))
     step = call_on_line(tracker, 0.05, 0.5)
-    assert step.status in (Status.OFF_PATH, Status.HELD)  # there is no foot of the car to steer by
+    assert step.status in (at.Status.OFF_PATH, at.Status.HELD)  # there is no foot of the car to steer by
     assert abs(step.command - before.command) <= tracker.controller.limits.move[1] + 1e-12

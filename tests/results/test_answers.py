@@ -7,10 +7,12 @@ import math
 import re
 import shlex
 import sys
+from functools import partial
 
 import pytest
 from tests.project.test_snippets import parse
 
+from adaptrack.analysis.certify import certify
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.car import car_answer
 from adaptrack.cli.next_step import repeat_command
@@ -91,7 +93,8 @@ def test_every_command_begins_with_its_answer_and_ends_with_a_command_that_parse
     assert step(last)[: len(then)] == then
 
 
-def test_thin_margins_are_called_thin_though_the_loop_is_stable(lines):
+def test_thin_margins_are_called_thin_though_the_loop_is_stable(lines, monkeypatch):
+    monkeypatch.setattr("adaptrack.analysis.certify.certify", partial(certify, levels=(2, 2)))
     first, *_, last = lines("certify", "--vehicle", "midsize-sedan", "--speed", "25", "30", "--friction", "0.9", "1.0")
     assert re.match(r"Stable, but with thin margins: \d+ ms of delay, where a control period is 50 ms", first)
     assert "--mismatch" in step(last)

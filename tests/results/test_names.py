@@ -1,6 +1,5 @@
 """A name is data: whatever it is, it is driven, saved, drawn and printed, and its files stay in their folder."""
 
-import json
 import os
 
 import pytest
@@ -20,7 +19,7 @@ NASTY = {
 
 
 @pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)
-def test_any_name_is_driven_saved_loaded_and_printed(run_command, monkeypatch, tmp_path, name):
+def test_any_name_is_driven_saved_loaded_and_printed(output_of, answer_of, monkeypatch, tmp_path, name):
     monkeypatch.setattr("adaptrack.results.page.write_result", lambda out, *_, **__: out)  # drawn below
     inside = tmp_path / "in" / "deep"
     inside.mkdir(parents=True)
@@ -29,22 +28,18 @@ def test_any_name_is_driven_saved_loaded_and_printed(run_command, monkeypatch, t
     before = sorted(tmp_path.rglob("*"))
 
     arguments = ["drive", inside / "scenario.toml", "--scheduler", inside / "scheduler.json", "--period", "0.1"]
-    code, out, err = run_command(*arguments, "--out", inside / "out", "--json")
-    assert code == 0, err
-    (row,) = json.loads(out)["rows"]
+    (row,) = answer_of(*arguments, "--out", inside / "out")["rows"]
     assert (row["scenario"], row["scheduler"], row["controller"]) == (name, "scheduler", "scheduler")
     assert {path.parent for path in set(tmp_path.rglob("*")) - set(before) - {inside / "out"}} == {inside / "out"}
     (file,) = (inside / "out").glob("*.parquet")
     assert Trajectory.load(file).name_of("scenario") == name
 
-    code, out, err = run_command(*arguments)
-    assert code == 0, err
+    out = output_of(*arguments)
     assert not {"\x1b", "\u202e", "\x07"} & set(out)
     assert name[:6] in out or not name.isprintable() or name == " "
 
 
-def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path):
     names = list(NASTY.values())
     runs = [Run(drive(n=40, scenario=names[i % 3]), label=name) for i, name in enumerate(names)]
     page = write_drive_page(tmp_path, runs, title="\ud800 [/red] $\0", command="drive '\ud800'")
@@ -57,9 +52,8 @@ def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypat
     assert len(list(tmp_path.glob("*-tracking.png"))) == 3
 
 
-def test_scenarios_of_one_name_get_a_file_each(run_command, tmp_path):
-    code, _, err = run_command("drive", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
-    assert code == 0, err
+def test_scenarios_of_one_name_get_a_file_each(output_of, tmp_path):
+    output_of("drive", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
     assert {path.name for path in tmp_path.glob("*.parquet")} == {"sine-informed.parquet", "sine-informed-2.parquet"}
 
 

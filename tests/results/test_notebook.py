@@ -13,27 +13,23 @@ from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.results.notebook import run_figure
 from adaptrack.results.record import REPLAYED_SIGNALS, DrawnCar, DriveRecord
 from adaptrack.results.record import on_road as place_on_road
 from adaptrack.road import generate_road
+from made_drives import trajectory
 
 
 def driven(road, /, *, laps=1.0, offset=0.2, **more):
     """A run at 10 m/s, `offset` m to the left of the centre line."""
     t = 0.1 * np.arange(int(laps * road.length))
     place = road.at(10.0 * t)
-    values = {
-        column.name: np.zeros((t.size, len(column.parts)) if column.parts else t.size) for column in TRAJECTORY_COLUMNS
-    }
-    values |= {
+    columns = {
         "t": t, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
         "psi": place.heading, "vx": np.full(t.size, 10.0), "v_ref": np.full(t.size, 10.0),
-        "held": np.zeros(t.size, bool),
     }  # fmt: skip
     meta = {"scenario": "<lap>", "controller": "informed", "vehicle": {"name": "paper"}, "profile": "road"}
-    return Trajectory(**(values | more), period=0.1, meta=meta)
+    return trajectory(columns | more, period=0.1, meta=meta)
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +131,7 @@ def objects():
 
 
 @pytest.mark.parametrize("which", ["car", "schedule", "constant", "data", "comparison"])
-def test_what_one_looks_at_shows_numbers_and_a_picture_with_nothing_from_outside(which, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+def test_what_one_looks_at_shows_numbers_and_a_picture_with_nothing_from_outside(which):
     shown, words = objects()[which]
     text = shown._repr_html_()
     assert all(each in text for each in words)

@@ -15,12 +15,13 @@ from matplotlib.text import Text
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.trajectory import Trajectory, provenance
+from adaptrack.drive.trajectory import provenance
 from adaptrack.results import style, words, write_drive_page, write_result
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
 from adaptrack.results.marks import SERIES, ColourScale, Dot, caption_notes, draw_heat_map, log_ticks, set_log_scale
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
+from made_drives import trajectory
 from pictures import pictures
 
 
@@ -34,40 +35,19 @@ def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=
         vehicle="paper", profile="paper", seed=7, preview=False, controller=controller,
         tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
     )  # fmt: skip
-    return Trajectory(
-        t=t,
-        X=15 * t,
-        Y=0.2 * t + 0.2 * scale * wave,
-        psi=0.02 * wave,
-        vx=15 + wave,
-        vy=0.1 * wave,
-        yaw_rate=0.05 * scale * wave,
-        steering=0.03 * wave,
-        command=0.03 * scale * wave,
-        command_change=0.003 * wave,
-        y_ref=0.2 * t,
-        v_ref=15 + wave,
-        friction=np.full((n, 4), 0.7),
-        wind=np.stack([0 * t, 20 * wave], axis=1),
-        lateral_acceleration=wave,
-        held=np.zeros(n, bool),
-        step_time=np.full(n, 1e-5),
-        period=0.1,
-        tuning={
-            "Np": horizon,
-            "Nc": np.full(n, 8),
-            "Q": np.full(n, 10.0),
-            "R": np.full(n, 0.01) * (1 + adapt * np.abs(wave)),
-        },
-        diagnostics={
-            "qp_status": np.zeros(n, int),
-            "qp_iterations": np.full(n, 3),
-            "qp_residual": np.full(n, 1e-12),
-            "at_limit": np.zeros(n, int),
-        },
+    columns = {
+        "t": t, "X": 15 * t, "Y": 0.2 * t + 0.2 * scale * wave, "psi": 0.02 * wave, "vx": 15 + wave, "vy": 0.1 * wave,
+        "yaw_rate": 0.05 * scale * wave, "steering": 0.03 * wave, "command": 0.03 * scale * wave,
+        "command_change": 0.003 * wave, "y_ref": 0.2 * t, "v_ref": 15 + wave, "friction": np.full((n, 4), 0.7),
+        "wind": np.stack([0 * t, 20 * wave], axis=1), "lateral_acceleration": wave, "step_time": np.full(n, 1e-5),
+    }  # fmt: skip
+    tuning = {"Np": horizon, "Nc": np.full(n, 8), "Q": np.full(n, 10.0), "R": 0.01 * (1 + adapt * np.abs(wave))}
+    diagnostics = {"qp_status": np.zeros(n, int), "qp_iterations": np.full(n, 3), "qp_residual": np.full(n, 1e-12),
+                   "at_limit": np.zeros(n, int)}  # fmt: skip
+    return trajectory(
+        columns, period=0.1, tuning=tuning, diagnostics=diagnostics, meta=record | meta,
         units={"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"},
-        meta=record | meta,
-    )
+    )  # fmt: skip
 
 
 def lost(run, at=100):
@@ -282,29 +262,20 @@ def legend_texts(figure):
 def test_figures_have_the_papers_panels_with_units():
     fleet = {"Standard MPC": drive(), "NN-MPC": drive("nn", adapt=True)}
     four = figure_of(conditions_picture, fleet)
-    assert [axes.get_title("left") for axes in four.axes] == [
-        "(a) Lateral gust",
-        "(b) Road friction",
-        "(c) Horizons",
-        "(d) Weights",
-    ]
+    titles = ["(a) Lateral gust", "(b) Road friction", "(c) Horizons", "(d) Weights"]
+    assert [axes.get_title("left") for axes in four.axes] == titles
     assert four.axes[3].get_yscale() == "log"
     tracking = figure_of(tracking_picture, fleet)
-    assert [axes.get_title("left")[4:] for axes in tracking.axes] == [
-        "Trajectory tracking",
-        "Tracking error",
-        "Steering",
-        "Yaw rate",
-    ]
+    titles = ["Trajectory tracking", "Tracking error", "Steering", "Yaw rate"]
+    assert [axes.get_title("left")[4:] for axes in tracking.axes] == titles
     assert legend_texts(tracking) == ["Reference", "Standard MPC", "NN-MPC"]
     for axes in four.axes + tracking.axes:
         assert re.search(r"\(.+\)$", axes.get_ylabel()), axes.get_ylabel()
 
 
-@pytest.mark.drawn
 def test_legends_cover_no_curve():
     figure = figure_of(tracking_picture, {f"controller {i}": drive(scale=1 + 0.1 * i) for i in range(8)})
-    style.png(figure)  # settles the layout
+    figure.draw_without_rendering()  # settles the layout
     legend = figure.legends[0].get_window_extent()
     assert all(not legend.overlaps(axes.get_window_extent()) for axes in figure.axes)
 
@@ -334,17 +305,12 @@ def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
 
 @pytest.mark.drawn
 def test_runs_that_hold_only_nan_can_be_drawn():
-    broken = drive()
-    empty = np.full(len(broken), np.nan)
-    broken = dataclasses.replace(
-        broken, Y=empty, vx=empty, yaw_rate=empty, command=empty, tuning={**broken.tuning, "Q": empty}
-    )
-    for figure in (
-        figure_of(tracking_picture, {"x": broken}),
-        figure_of(conditions_picture, {"x": broken}),
-        figure_of(speed_picture, {"s": {"x": broken}}),
-    ):
-        style.png(figure)
+    run = drive()
+    empty = np.full(len(run), np.nan)
+    columns = dict.fromkeys(("Y", "vx", "yaw_rate", "command"), empty)
+    run = {"x": dataclasses.replace(run, **columns, tuning={**run.tuning, "Q": empty})}
+    for picture, runs in ((tracking_picture, run), (conditions_picture, run), (speed_picture, {"s": run})):
+        style.png(figure_of(picture, runs))
 
 
 def test_start_up_from_standstill_does_not_flatten_the_rest():

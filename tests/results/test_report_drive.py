@@ -10,7 +10,7 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
-from adaptrack.results import record, style
+from adaptrack.results import record
 from adaptrack.results.drive import drive_result, write_drive_page
 from adaptrack.results.record import (
     REPLAY_UNITS,
@@ -117,11 +117,10 @@ def test_edges_are_drawn_where_the_width_changes():
     assert {30.0, 31.0} <= set(outline_stations(road, 0.0, road.length).tolist())
 
 
-@pytest.mark.drawn
 def test_the_picture_from_above_is_to_scale_and_coloured_by_the_offset():
     road = bend()
     figure = print_figure(above_picture({"a": made_drive(road), "b": made_drive(road, amplitude=1.0)}))
-    style.png(figure)  # settles the layout
+    figure.draw_without_rendering()  # settles the layout
     small, large = figure.axes[:2]
     assert [axes.get_title("left") for axes in (small, large)] == ["(a) a", "(b) b"]
     (strokes,) = (collection for collection in large.collections if collection.get_array() is not None)

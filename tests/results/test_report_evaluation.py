@@ -12,7 +12,7 @@ import pytest
 from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Guarded, Learned, StabilityMap, Table
-from adaptrack.results import evaluation, style, write_result
+from adaptrack.results import evaluation, write_result
 from adaptrack.results.evaluation import evaluation_result, regret_maps, surfaces_picture, view_rows
 from adaptrack.results.style import describe_panel, panel_figure
 from adaptrack.results.words import number
@@ -57,7 +57,6 @@ VIEWS = {
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, pictures(drawn=True):
-        patch.setattr(style, "PNG_DPI", 20)
         patch.setattr(evaluation, "SURFACE_NODES", (9, 7))
         result = evaluation_result(VIEWS, {"nn": schedule(), "anfis": schedule((10.0, 0.0))})
         result = replace(result, command="evaluate <now>")

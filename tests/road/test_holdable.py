@@ -5,23 +5,16 @@ import math
 import numpy as np
 import pytest
 
+import adaptrack as at
 from adaptrack.analysis import holdable
 from adaptrack.analysis.holdable import holdable_speed, min_transient_margin, top_speed
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import MPC, Stanley
-from adaptrack.control.controllers.learned_car import Learning
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.drive.simulate import rollout
-from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
+from adaptrack.road import Arc, Clothoid, Comfort, Line
 from adaptrack.road.holdable_speed import HoldableSpeed, load_holdable
-from adaptrack.road.speed import Limit
-from adaptrack.scenario import RoadDrive
-from adaptrack.scenario.profile import load_profile
+from adaptrack.road.speed import Limit, cornering_limit, steering_limit
 from adaptrack.tuning.constant import ConstantTuning, load_tuning
 
-CAR = load_vehicle("midsize-sedan")
+CAR = at.load_vehicle("midsize-sedan")
 TABLE = HoldableSpeed(
     vehicle="a car", profile="road", longest=10.0, speeds=(10.0, 30.0, 50.0), sideways=(0.0, 0.5, 1.0),
     frictions=(0.5, 1.0), cornering=(4.5, 9.0),
@@ -67,31 +60,31 @@ def test_a_tight_bend_below_the_speeds_of_the_table_counts_with_the_lateral_acce
 def test_a_table_is_the_same_after_its_file_and_one_with_a_hole_is_refused(tmp_path):
     TABLE.to_toml(tmp_path / "held.toml")
     assert load_holdable(tmp_path / "held.toml") == TABLE
-    with pytest.raises(InvalidInput, match=r"2 x 3 x 3 values"):
+    with pytest.raises(at.InvalidInput, match=r"2 x 3 x 3 values"):
         TABLE.replace(braking=TABLE.braking[:1])
-    with pytest.raises(InvalidInput, match="must rise"):
+    with pytest.raises(at.InvalidInput, match="must rise"):
         TABLE.replace(speeds=(30.0, 10.0, 50.0))
 
 
 def test_the_saloon_holds_less_braking_the_faster_it_is_and_more_with_friction(coarse):
-    table = coarse(MPC(CAR, profile="production"), "production")
+    table = coarse(at.MPC(CAR, profile="production"), "production")
     speeds = np.array(table.speeds)
     straight = table.deceleration(speeds, 0.0, 1.0)
     assert straight[0] > 3.0 > straight[-1]  # the comfort's braking is held at 10 m/s and not at 60
     assert (np.diff(straight) <= 1e-9).all()
     assert (table.deceleration(speeds, 0.0, 0.5) < straight + 1e-9).all()
-    assert table is coarse(MPC(CAR, profile="production"), "production")  # made once
+    assert table is coarse(at.MPC(CAR, profile="production"), "production")  # made once
 
 
 def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(coarse):
-    informed = coarse(MPC(CAR, profile="road"), "road")
-    learning = MPC(CAR, profile="road", learning=Learning())
+    informed = coarse(at.MPC(CAR, profile="road"), "road")
+    learning = at.MPC(CAR, profile="road", learning=at.Learning())
     slow = coarse(learning, "road")
     lag, dead_time = (high for _, high in learning.learner.ranges)
     assert f"lag {lag:.3g} s" in slow.steering
     assert dead_time > 0.1
-    at = np.array([20.0, 40.0, 55.0])
-    assert (slow.deceleration(at, 0.0, 0.9) <= informed.deceleration(at, 0.0, 0.9) + 1e-9).all()
+    speeds = np.array([20.0, 40.0, 55.0])
+    assert (slow.deceleration(speeds, 0.0, 0.9) <= informed.deceleration(speeds, 0.0, 0.9) + 1e-9).all()
 
 
 def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_that_is_left():
@@ -111,53 +104,93 @@ def test_a_tuning_keeps_what_it_holds(coarse, tmp_path):
     tuning = ConstantTuning(
         controller="informed", vehicle=CAR.name, profile="road", period=0.05,
         tuning={"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 10.0},
-    ).with_holdable_speed(CAR, load_profile("road"))  # fmt: skip
+    ).with_holdable_speed(CAR, at.load_profile("road"))  # fmt: skip
     tuning.to_toml(tmp_path / "own.toml")
     assert load_tuning(tmp_path / "own.toml").holds == tuning.holds
     assert tuning.holds is not None
-    entries = dict.fromkeys(Stanley(CAR).tuning_names, 1.0)
+    entries = dict.fromkeys(at.Stanley(CAR).tuning_names, 1.0)
     stanley = ConstantTuning(controller="stanley", vehicle=CAR.name, profile="road", period=0.05, tuning=entries)
-    assert stanley.with_holdable_speed(CAR, load_profile("road")).holds is None
+    assert stanley.with_holdable_speed(CAR, at.load_profile("road")).holds is None
+
+
+# -- cornering --------------------------------------------------------------------------------------------------------
+BENDS = np.linspace(0.0, 0.15, 20)
+
+
+@pytest.mark.parametrize("name", at.list_vehicles())
+def test_less_friction_and_tighter_bends_leave_less_and_a_plan_asks_for_no_more(name):
+    car, road = at.load_vehicle(name), at.generate_road("mountain", 2, 1500.0)
+    dry, wet = cornering_limit(car, BENDS, 0.9), cornering_limit(car, BENDS, 0.5)
+    assert np.all(np.diff(dry) <= 0.05)  # the grid of accelerations
+    assert np.all(wet < dry)
+    assert dry[0] < 1.05 * 0.9 * 9.81  # a lightly loaded tyre has a little more
+    tightest = math.tan(min(steering_limit(car), 1.5)) / car.wheelbase
+    assert cornering_limit(car, [1.01 * tightest], [0.9])[0] == 0.0
+    assert cornering_limit(car, [0.5 * tightest], [0.9])[0] > 1.0
+    plan = at.plan_speed(road, car, Comfort(lateral=20.0))
+    bend = np.abs(road.at(plan.s).curvature)
+    assert np.all(plan.speed**2 * bend <= 0.9 * cornering_limit(car, bend, np.full(bend.shape, 0.9)) + 0.05)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    "name", [name for name in at.list_vehicles() if name != "model-car"]
+)  # 20 m/s is not its world
+def test_below_the_limit_the_plant_holds_a_circle_and_above_it_does_not(name):
+    car, radius = at.load_vehicle(name), 50.0
+    limit = cornering_limit(car, [1 / radius], [0.9])[0]
+    circle = at.Road.from_segments(
+        [Line(length=30.0), Clothoid(length=60.0, start_curvature=0.0, end_curvature=1 / radius),
+         Arc(length=350.0, curvature=1 / radius)], name="circle", friction=0.9,
+    )  # fmt: skip
+    speeds = [math.sqrt(share * limit * radius) for share in (0.9, 1.15)]
+    below, lost = (
+        at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.RoadDrive(circle, speed), profile="road")
+        for speed in speeds
+    )
+    assert below.failed is None
+    assert np.abs(below.error).max() < 0.25
+    assert lost.failed is not None or np.abs(lost.error).max() > 0.5
 
 
 # -- plans ------------------------------------------------------------------------------------------------------------
 def test_a_plan_is_no_faster_and_brakes_no_harder_than_the_table_says():
-    road = generate_road("mountain", seed=3, length=1500.0)
+    road = at.generate_road("mountain", seed=3, length=1500.0)
     comfort = Comfort(lateral=7.0, brake=6.0, lateral_jerk=math.inf)
-    plan = plan_speed(road, CAR, comfort, top_speed=60.0, holds=TABLE)
+    plan = at.plan_speed(road, CAR, comfort, top_speed=60.0, holds=TABLE)
     middle = 0.5 * (plan.s[1:] + plan.s[:-1])
     v = np.sqrt(0.5 * (plan.speed[1:] ** 2 + plan.speed[:-1] ** 2))
     allowed = TABLE.deceleration(v, v**2 * road.at(middle).curvature, 0.9)
     assert (np.maximum(-plan.acceleration, 0.0) <= np.maximum(allowed, 0.0) + 0.15).all()
     assert (plan.at(middle) <= TABLE.speed(road.at(middle).curvature) * 1.01).all()
-    assert plan.duration > plan_speed(road, CAR, comfort, top_speed=60.0).duration
+    assert plan.duration > at.plan_speed(road, CAR, comfort, top_speed=60.0).duration
 
 
 def test_the_saloon_that_brakes_from_speed_leaves_the_road_without_the_table_and_stays_with_it(coarse):
-    road = Road.from_segments(
+    road = at.Road.from_segments(
         [Line(length=500.0), Clothoid(length=40.0, start_curvature=0.0, end_curvature=0.025),
          Arc(length=40.0, curvature=0.025)]
     )  # fmt: skip
-    mpc, offsets = MPC(CAR, profile="production"), []
+    mpc, offsets = at.MPC(CAR, profile="production"), []
     for holds in (None, coarse(mpc, "production")):
-        plan = plan_speed(road, CAR, Comfort(lateral=4.0), top_speed=100.0, holds=holds)
-        run = rollout(DualTrack(CAR), mpc, RoadDrive(road, plan), profile="production", seed=3)
+        plan = at.plan_speed(road, CAR, Comfort(lateral=4.0), top_speed=100.0, holds=holds)
+        run = at.rollout(at.DualTrack(CAR), mpc, at.RoadDrive(road, plan), profile="production", seed=3)
         offsets.append(float(np.nanmax(np.abs(run.error))))
     assert offsets[0] > 4.0
     assert offsets[1] < 1.0
 
 
 def test_an_open_road_begins_at_a_speed_that_the_power_holds():
-    road = Road.from_segments([Line(length=3000.0)], friction=1.2)
-    plan = plan_speed(road, CAR, top_speed=100.0)
+    road = at.Road.from_segments([Line(length=3000.0)], friction=1.2)
+    plan = at.plan_speed(road, CAR, top_speed=100.0)
     assert plan.speed[0] == pytest.approx(top_speed(CAR), abs=0.5)
     assert plan.speed[0] == pytest.approx(plan.speed[-1], rel=1e-6)
-    assert plan_speed(road, CAR, top_speed=100.0, start=80.0).speed[0] == pytest.approx(80.0)  # asked for
+    assert at.plan_speed(road, CAR, top_speed=100.0, start=80.0).speed[0] == pytest.approx(80.0)  # asked for
     assert {stretch.limit for stretch in plan.stretches} == {Limit.POWER}
 
 
 def circle(radius, **along):
-    return Road.from_segments([Arc(length=2.0 * math.pi * radius, curvature=1.0 / radius)], closed=True, **along)
+    return at.Road.from_segments([Arc(length=2.0 * math.pi * radius, curvature=1.0 / radius)], closed=True, **along)
 
 
 @pytest.mark.parametrize(
@@ -169,13 +202,13 @@ def circle(radius, **along):
         (circle(900.0), {}, Limit.DOMAIN),
         (circle(900.0), {"top_speed": 30.0}, Limit.TOP_SPEED),
         (circle(400.0), {"comfort": Comfort(lateral=7.0), "top_speed": 60.0, "holds": TABLE}, Limit.MARGINS),
-        (Road.from_segments([Clothoid(length=60.0, start_curvature=-0.02, end_curvature=0.02)]),
+        (at.Road.from_segments([Clothoid(length=60.0, start_curvature=-0.02, end_curvature=0.02)]),
          {"comfort": Comfort(lateral=50.0, grip_share=1.0, lateral_jerk=4.0)}, Limit.CURVATURE_RATE),
-        (Road.from_segments([Line(length=150.0)]), {"start": 1.0}, Limit.ACCELERATE),
-        (Road.from_segments([Line(length=80.0)]), {"end": 0.0, "top_speed": 60.0}, Limit.BRAKE),
+        (at.Road.from_segments([Line(length=150.0)]), {"start": 1.0}, Limit.ACCELERATE),
+        (at.Road.from_segments([Line(length=80.0)]), {"end": 0.0, "top_speed": 60.0}, Limit.BRAKE),
     ],
 )  # fmt: skip
 def test_a_plan_names_what_bounds_it(road, options, limit):
-    plan = plan_speed(road, CAR, options.pop("comfort", Comfort()), **options)
+    plan = at.plan_speed(road, CAR, options.pop("comfort", Comfort()), **options)
     assert next(iter(plan.shares)) == limit
     assert plan.shares[limit] > 0.5

@@ -6,32 +6,30 @@ import math
 
 import pytest
 
-from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
-from adaptrack.cars.vehicle import SteeringActuator
-from adaptrack.scenario.profile import Profile, list_profiles, load_profile
+import adaptrack as at
 
-PAPER, ROAD = load_profile("paper"), load_profile("road")
-PRODUCTION, BUS = load_profile("production"), load_profile("production-bus")
+PAPER, ROAD = at.load_profile("paper"), at.load_profile("road")
+PRODUCTION, BUS = at.load_profile("production"), at.load_profile("production-bus")
 
 
 def test_the_paper_profile_is_ideal_and_the_road_profile_is_not():
     assert PAPER.noise == (0.0, 0.0, 0.0, 0.0)
     assert (PAPER.delay, PAPER.preview, PAPER.move_weight, PAPER.period) == (0.0, False, 0.0, 0.1)
-    assert PAPER.steering == SteeringActuator.ideal()
+    assert PAPER.steering == at.SteeringActuator.ideal()
     assert ROAD.noise == (0.05, 0.003, 0.01, 0.03)
     assert (ROAD.delay, ROAD.preview, ROAD.move_weight, ROAD.period) == (1.0, True, 3.0, 0.05)
-    assert ROAD.steering == SteeringActuator(lag=0.15, rate=0.5, limit=math.pi / 6)
-    assert load_profile(ROAD) is ROAD
+    assert ROAD.steering == at.SteeringActuator(lag=0.15, rate=0.5, limit=math.pi / 6)
+    assert at.load_profile(ROAD) is ROAD
 
 
 def test_shipped_profiles_have_the_name_of_their_file_and_read_back_equal(tmp_path):
-    assert list_profiles() == ["paper", "production", "production-bus", "road"]
-    for name in list_profiles():
-        profile = load_profile(name)
+    assert at.list_profiles() == ["paper", "production", "production-bus", "road"]
+    for name in at.list_profiles():
+        profile = at.load_profile(name)
         assert profile.name == name
         assert profile.description
         profile.to_toml(tmp_path / "copy.toml")
-        assert load_profile(tmp_path / "copy.toml") == profile.replace(name="copy")
+        assert at.load_profile(tmp_path / "copy.toml") == profile.replace(name="copy")
 
 
 def test_the_profile_of_a_bus_is_production_with_all_samples_late():
@@ -43,42 +41,22 @@ def test_the_profile_of_a_bus_is_production_with_all_samples_late():
 
 
 @pytest.mark.parametrize(("make", "error", "words"), [
-    (lambda: load_profile("papper"), UnknownName, r"no profile is named 'papper'. Did you mean 'paper'\?"),
-    (lambda: load_profile(3), InvalidInput, "not by 3"),
-    (lambda: load_profile("absent.toml"), StorageError, "cannot be read"),
-    (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* give the delay of the steering as dead"),
+    (lambda: at.load_profile("papper"), at.UnknownName, r"no profile is named 'papper'. Did you mean 'paper'\?"),
+    (lambda: at.load_profile(3), at.InvalidInput, "not by 3"),
+    (lambda: at.load_profile("absent.toml"), at.StorageError, "cannot be read"),
+    (lambda: at.Profile(name="own", delay=0.5), at.InvalidInput, "or 1 .* give the delay of the steering as dead"),
     *(
-        (lambda field=field, value=value: Profile(name="own", **{field: value}), InvalidInput, field)
+        (lambda field=field, value=value: at.Profile(name="own", **{field: value}), at.InvalidInput, field)
         for field in (
-            "noise_y",
-            "bias_yaw_rate",
-            "pose_age",
-            "missing",
-            "move_weight",
-            "delay",
-            "noise_station",
-            "speed_resolution",
-            "speed_dead_zone",
-            "speed_age",
-            "motion_age_spread",
+            "noise_y", "bias_yaw_rate", "pose_age", "missing", "move_weight", "delay", "noise_station",
+            "speed_resolution", "speed_dead_zone", "speed_age", "motion_age_spread",
         )
         for value in (-0.1, math.nan, True)
     ),
-    (
-        lambda: Profile(name="own", motion_age=0.01, motion_age_spread=0.02),
-        InvalidInput,
-        "not exceed motion_age = 0.01",
-    ),
-    (
-        lambda: BUS.replace(speed_age=0.01),
-        InvalidInput,
-        "speed_age = 0.01 s: must be 0, or at least motion_age_spr",
-    ),
-    (
-        lambda: BUS.replace(station_age=0.01),
-        InvalidInput,
-        "station_age = 0.01 s: must be 0, or at least pose_age_sp",
-    ),
+    (lambda: at.Profile(name="own", motion_age=0.01, motion_age_spread=0.02), at.InvalidInput,
+     "not exceed motion_age = 0.01"),
+    (lambda: BUS.replace(speed_age=0.01), at.InvalidInput, "speed_age = 0.01 s: must be 0, or at least motion_age_spr"),
+    (lambda: BUS.replace(station_age=0.01), at.InvalidInput, "station_age = 0.01 s: must be 0, or at least pose_age_s"),
 ])  # fmt: skip
 def test_impossible_profiles_are_refused(make, error, words):
     with pytest.raises(error, match=words):
@@ -88,10 +66,10 @@ def test_impossible_profiles_are_refused(make, error, words):
 def test_a_file_makes_a_profile_named_after_it(tmp_path):
     path = tmp_path / "lorry.toml"
     path.write_text("delay = 1\nmove_weight = 2\n[steering]\nlag = 0.3\nrate = 0.2\n")
-    lorry = load_profile(path)
-    assert lorry == load_profile(str(path))
+    lorry = at.load_profile(path)
+    assert lorry == at.load_profile(str(path))
     assert (lorry.name, lorry.delay, lorry.period) == ("lorry", 1.0, 0.1)
-    assert lorry.steering == SteeringActuator(lag=0.3, rate=0.2)
+    assert lorry.steering == at.SteeringActuator(lag=0.3, rate=0.2)
 
 
 @pytest.mark.parametrize(("text", "message"), [
@@ -104,5 +82,5 @@ def test_a_file_makes_a_profile_named_after_it(tmp_path):
 def test_an_impossible_file_is_refused_with_file_key_and_remedy(tmp_path, text, message):
     path = tmp_path / "own.toml"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        load_profile(path)
+    with pytest.raises(at.ConfigError, match=message):
+        at.load_profile(path)

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.base.errors import InvalidInput
-from adaptrack.drive.failure import FailureLimits
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings, minimise
 
@@ -82,11 +80,11 @@ def test_a_run_that_fails_costs_infinity_by_the_rule_in_use():
     step = (12.0, 2.0, 0.8, 0.0)
     tuning = [(30, 5, 1.0, 300.0)]
     assert np.isfinite(objective().costs(step, tuning)).all()
-    assert np.isinf(objective(failure=FailureLimits(sideslip=1e-3)).costs(step, tuning)).all()
-    assert np.isinf(objective(failure=FailureLimits(distance=1e-6)).costs(step, tuning)).all()
+    assert np.isinf(objective(failure=at.FailureLimits(sideslip=1e-3)).costs(step, tuning)).all()
+    assert np.isinf(objective(failure=at.FailureLimits(distance=1e-6)).costs(step, tuning)).all()
 
 
 @pytest.mark.parametrize("changes", [{"test": "slalom"}, {"noise_seeds": ()}, {"profile": "rode"}], ids=str)
 def test_a_wrong_option_is_refused(changes):
-    with pytest.raises(InvalidInput):
+    with pytest.raises(at.InvalidInput):
         objective(**changes)

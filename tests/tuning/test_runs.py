@@ -22,10 +22,7 @@ from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.runs import (
-    operating_point_runs,
-    random_drive_runs,
-)
+from adaptrack.tuning.runs import operating_point_runs, random_drive_runs
 from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
 
 DISTANCE = FailureLimits().distance

@@ -5,24 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import LQR, MPC, Controller, PurePursuit, Stanley
-from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
+import adaptrack as at
 from adaptrack.control.controllers.laws import WEIGHT_FACTORS
-from adaptrack.control.controllers.preview_lqr import PreviewLQR
-from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import swarm_within
 from adaptrack.tuning.pso import Swarm, at_bounds, search_space
 
-CAR = load_vehicle("midsize-sedan")
-LAWS = [law(CAR, preview=True) for law in (LQR, KinematicMPC, PreviewLQR, PurePursuit, Stanley)]
+CAR = at.load_vehicle("midsize-sedan")
+LAWS = [law(CAR, preview=True) for law in (at.LQR, at.KinematicMPC, at.PreviewLQR, at.PurePursuit, at.Stanley)]
 
 
 @pytest.mark.parametrize("profile", ["paper", "road", "production"])
 def test_the_informed_controllers_own_constant_lies_in_its_space_at_any_period(profile):
     for period, preview in ((0.1, False), (0.05, True), (0.01, False)):
-        mpc = MPC(CAR, profile=load_profile(profile), period=period, preview=preview)
+        mpc = at.MPC(CAR, profile=at.load_profile(profile), period=period, preview=preview)
         assert search_space(mpc).contains(mpc.packed_tuning())
 
 
@@ -31,7 +26,7 @@ def test_a_laws_own_tuning_lies_in_its_space_and_every_tuning_there_makes_one(la
     space = search_space(law)
     assert space.names == law.tuning_names
     assert space.contains(law.packed_tuning())
-    for row in Swarm(space, seed=3).ask():
+    for row in Swarm(space, seed=3).ask()[:6]:
         entries = dict(zip(space.names, row.tolist(), strict=True))
         np.testing.assert_array_equal(
             law.with_tuning(entries).parameters(), type(law)(CAR, preview=True, **entries).parameters()
@@ -55,20 +50,20 @@ def test_an_entry_at_an_end_of_its_range_is_named_and_a_fixed_one_is_not():
     assert at_bounds(space, row) == ["q_heading"]
 
 
-@pytest.mark.parametrize("law", [*LAWS, MPC(CAR, profile="road")], ids=lambda law: law.name)
+@pytest.mark.parametrize("law", [*LAWS, at.MPC(CAR, profile="road")], ids=lambda law: law.name)
 def test_a_controller_with_another_tuning_is_one_of_its_own_and_refuses_what_it_does_not_have(law):
     first, before = law.tuning_names[0], law.packed_tuning().copy()
     changed = law.with_tuning({first: 20.0})
     assert changed.packed_tuning().tolist() == [20.0, *before[1:]]
     np.testing.assert_array_equal(law.packed_tuning(), before)
-    with pytest.raises(InvalidInput, match=f"its entries are {first}"):
+    with pytest.raises(at.InvalidInput, match=f"its entries are {first}"):
         law.with_tuning({"bias": 1.0})
-    with pytest.raises(InvalidInput):
+    with pytest.raises(at.InvalidInput):
         law.with_tuning({name: -1.0 for name in law.tuning_names})
 
 
 def test_horizons_longer_than_an_mpc_was_made_for_make_a_larger_one():
-    changed = MPC(CAR, profile="road").with_tuning({"Np": 80.0, "Nc": 24.0})
+    changed = at.MPC(CAR, profile="road").with_tuning({"Np": 80.0, "Nc": 24.0})
     assert (changed.tuning.Np, changed.tuning.Nc) == (80, 24)
     assert changed.longest_horizon == 80
     assert np.isfinite(changed.step([0.0] * 4, 15.0, [0.1]).angle)
@@ -79,19 +74,19 @@ def test_a_swarm_spends_no_more_runs_than_it_is_given():
         swarm = swarm_within(runs, 8)
         assert 10 <= swarm.evaluations <= runs / 8
     assert swarm_within(2400, 8).evaluations == 300
-    with pytest.raises(InvalidInput, match="at least 80"):
+    with pytest.raises(at.InvalidInput, match="at least 80"):
         swarm_within(79, 8)
 
 
 def test_a_controller_without_a_search_space_is_refused_with_the_attribute_to_set():
-    class Unbounded(Controller):
+    class Unbounded(at.Controller):
         tuning_names, tuning = ("gain",), {"gain": 1.0}
 
         def step(self, *values, **options):
             return 0.0
 
     words = r"set `tuning_bounds` on its class, \(low, high\) for each name in `tuning`.*space=SearchSpace"
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(at.InvalidInput, match=words):
         search_space(Unbounded())
     Unbounded.tuning_bounds = {"gain": (0.1, 10.0)}
     assert search_space(Unbounded()).high == (10.0,)
