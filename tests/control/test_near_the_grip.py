@@ -94,7 +94,7 @@ def test_the_prediction_is_that_of_a_car_with_softer_rear_tyres():
 
 def test_filter_and_feed_forward_keep_the_slope_at_no_slip():
     mpc = MPC(CAR, profile="road")
-    before, turning = mpc._mpc.parameters.copy(), None
+    before = mpc._mpc.parameters.copy()
     step(mpc, circle(), 100.0)
     assert slope(mpc) < 0.6
     a, b, _ = PathModel.discrete(mpc.model, SPEED)
@@ -125,11 +125,11 @@ def test_the_slope_changes_by_at_most_one_a_second():
 
 
 def test_a_friction_that_falls_in_a_bend_moves_the_wheels_by_less_than_a_hundredth_of_a_radian():
-    same, other, differences = MPC(CAR, profile="road"), MPC(CAR, profile="road"), []
+    before, after, differences = MPC(CAR, profile="road"), MPC(CAR, profile="road"), []
     for k in range(60):
-        falls = k >= 20
-        differences.append(step(same, circle(), 100.0, 0.9) - step(other, circle(), 100.0, 0.8 if falls else 0.9))
-    assert slope(other) < slope(same)
+        friction = 0.9 if k < 20 else 0.8
+        differences.append(step(before, circle(), 100.0, 0.9) - step(after, circle(), 100.0, friction))
+    assert slope(after) < slope(before)
     assert np.abs(differences).max() < 0.01
 
 

@@ -27,9 +27,9 @@ from .mpc import MPC_ANSWER, MPC_PLACE, Functions, begin_learning
 
 LEAST_REAR_SLOPE = 0.3
 """Of the rear tyres in the prediction, over that of the car file at no slip; below it moves grow and errors do not."""
-SLOPE_WINDOW = 0.5
+BEND_WINDOW = 0.5
 """s, of the road behind the dead time, over which the lateral acceleration is averaged."""
-SHARES = 64.0
+SHARE_STEPS = 64.0
 """The share of the grip is rounded down to 1/64: on straights the prediction has the slope at no slip."""
 MAX_SLOPE_RATE = 1.0
 """1/s, of the slope over that at no slip: a friction that jumps moves the wheels gently."""
@@ -144,7 +144,7 @@ def _assumed_friction(slot, mpc):
 def rear_slope(acceleration, friction):
     """Return the slope of the rear tyres in the prediction, over that at no slip, at a lateral acceleration (m/s^2)."""
     used = min(abs(acceleration) / (friction * GRAVITY), 1.0) if friction > 0.0 else 0.0
-    return max(brush_slope(floor(used * SHARES) / SHARES), LEAST_REAR_SLOPE)
+    return max(brush_slope(floor(used * SHARE_STEPS) / SHARE_STEPS), LEAST_REAR_SLOPE)
 
 
 @inlined
@@ -157,7 +157,7 @@ def _slope_ahead(slot, mpc):
     settings, bend, memory = mpc.settings, mpc.bend, mpc.memory[slot]
     if settings.feeds_forward == 0:
         return 1.0
-    count = min(max(whole(SLOPE_WINDOW / settings.period + 0.5), 1), bend.size - 2)
+    count = min(max(whole(BEND_WINDOW / settings.period + 0.5), 1), bend.size - 2)
     turn = bend[count + 1] - bend[count] - bend[1] + bend[0]  # the sum of the second differences
     slope = rear_slope(turn / (count * settings.period * settings.period), _assumed_friction(slot, mpc))
     if settings.learns > 0:

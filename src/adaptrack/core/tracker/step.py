@@ -118,8 +118,8 @@ def _measure(tracker, m, sampled):
     for i in range(SENSOR_COUNT):
         measured[i] = math.nan
     measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age], measured[MEASUREMENT.turned] = 0.0, 0.0, m.turned
-    known = signals.sample_of(tracker.sample, 0).friction
-    measured[MEASUREMENT.friction] = known if known > 0.0 else 0.0
+    friction = signals.sample_of(tracker.sample, 0).friction
+    measured[MEASUREMENT.friction] = friction if friction > 0.0 else 0.0
     m.fresh = 1 if sampled and _take(tracker, m, measured) else 0
     if settings.filtered > 0:
         return
