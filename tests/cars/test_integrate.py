@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import SteeringActuator, load_tyre, load_vehicle
+import adaptrack as at
 from adaptrack.core.physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA
 from adaptrack.core.plants.contract import (
     GROUP,
@@ -16,20 +15,19 @@ from adaptrack.core.plants.contract import (
     vehicle_batch,
 )
 from adaptrack.core.plants.user import compile_plant
-from adaptrack.scenario.profile import load_profile
 from references import vehicle as reference
 
 pytestmark = pytest.mark.kernels
 
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 LAWS = {
-    LINEAR_TYRE: load_tyre("constant-stiffness"),
-    MAGIC_FORMULA: load_tyre("magic-formula"),
-    CURVED_MAGIC_FORMULA: load_tyre("passenger-car").replace(curvature=-1.0),
+    LINEAR_TYRE: at.load_tyre("constant-stiffness"),
+    MAGIC_FORMULA: at.load_tyre("magic-formula"),
+    CURVED_MAGIC_FORMULA: at.load_tyre("passenger-car").replace(curvature=-1.0),
 }
-ROAD = load_profile("road").steering
+ROAD = at.load_profile("road").steering
 
-every_plant = pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+every_plant = pytest.mark.parametrize("plant", [at.SingleTrack, at.DualTrack])
 every_law = pytest.mark.parametrize("law", LAWS, ids=("linear", "magic-formula", "curved"))
 
 
@@ -37,7 +35,7 @@ def crowd(rng, plant):
     """SLOTS different vehicles: rows of state and input (STATES + INPUTS, SLOTS), half of them driven by a force."""
     rows = np.zeros((PLANT_STATES + PLANT_INPUTS, SLOTS))
     rows[:6] = rng.uniform([[-50], [-9], [-3], [0], [-2], [-1]], [[50], [9], [3], [40], [2], [1]], (6, SLOTS))
-    if isinstance(plant, DualTrack):
+    if isinstance(plant, at.DualTrack):
         rows[6:10] = rng.uniform(-0.2, 0.2, (4, SLOTS))
         rows[10:12] = rng.uniform(-5, 5, (2, SLOTS))
     rows[12:14] = rng.uniform(-0.3, 0.3, (2, SLOTS))
@@ -94,7 +92,7 @@ def test_inputs_are_held_and_slots_that_nobody_asked_for_stay(plant, rng):
 @every_law
 def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
     car = plant(CAR, LAWS[law])
-    written = reference.dual_track if plant is DualTrack else reference.single_track
+    written = reference.dual_track if plant is at.DualTrack else reference.single_track
     count, h = len(car.state_names), 0.005
     rows = crowd(rng, car)
     after = advance(car, rows, np.arange(6), substeps=1, h=h)
@@ -139,7 +137,9 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
     omega, command, wind = 3.0, 0.2, 1.5
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     inputs = np.array([command, 0.0, np.nan, 1.0, 1.0, 1.0, 1.0, 0.0, wind, 0.0, 0.0, 0.0])
-    _, states = custom_ride(pendulum_beside_the_car, (omega,), SteeringActuator.ideal(), start, inputs, 200, 0.005, 8)
+    _, states = custom_ride(
+        pendulum_beside_the_car, (omega,), at.SteeringActuator.ideal(), start, inputs, 200, 0.005, 8
+    )
     equilibrium = (command + wind) / omega**2
     assert states[0, 6] == pytest.approx(equilibrium * (1 - np.cos(omega * 1.0)), rel=1e-7)
     assert states[0, 0] == pytest.approx(10.0, rel=1e-12)
@@ -148,7 +148,7 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
 
 
 @every_plant
-@pytest.mark.parametrize("steering", [SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
+@pytest.mark.parametrize("steering", [at.SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
 def test_what_is_observed_is_the_slope_and_the_angle_of_the_wheels(plant, steering, rng):
     car = plant(CAR, steering=steering)
     batch = vehicle_batch(car.compiled, car.packed(), np.zeros((SLOTS, 6)))

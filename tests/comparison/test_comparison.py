@@ -1,7 +1,5 @@
 """Comparisons: their statistics, reference, best constant and contenders, and the seeds that they keep apart."""
 
-from __future__ import annotations
-
 import json
 import math
 

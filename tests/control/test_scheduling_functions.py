@@ -5,16 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.control.scheduling import (
-    Function,
-    Learned,
-    Number,
-    Table,
-    check_scheduler,
-    load_scheduler,
-    register_function,
-)
+import adaptrack as at
+from adaptrack.control.scheduling import Function, Number, Table, register_function
 from adaptrack.control.scheduling.functions import load_function
 from small_models import random_network, random_sugeno, random_table
 
@@ -32,7 +24,7 @@ def functions(rng):
 
 def test_a_kind_that_nobody_registered_is_refused_with_those_that_are_known():
     for kind in ("spline", None, ["number"]):
-        with pytest.raises(InvalidInput, match="unknown kind of function"):
+        with pytest.raises(at.InvalidInput, match="unknown kind of function"):
             load_function({"kind": kind})
 
 
@@ -69,13 +61,13 @@ def test_a_kind_of_ones_own_is_driven_saved_and_loaded(tmp_path):
             return cls(tuple(saved["x"]), tuple(saved["y"]))
 
     ramp = Ramp((0.0, 30.0), (20.0, 50.0))
-    schedule = Learned({"Np": ramp, "Nc": 5, "log10_ratio": 2.0}, ("speed",), [[0.0, 30.0]])
-    check_scheduler(schedule)
+    schedule = at.Learned({"Np": ramp, "Nc": 5, "log10_ratio": 2.0}, ("speed",), [[0.0, 30.0]])
+    at.check_scheduler(schedule)
     schedule.save(tmp_path / "one.json")
-    again = load_scheduler(tmp_path / "one.json")
+    again = at.load_scheduler(tmp_path / "one.json")
     assert again.tuning["Np"].function == ramp
     assert again([10.0, 0.0, 0.8, 0.0]) == (30.0, 5.0, 1.0, 100.0)
-    with pytest.raises(InvalidInput, match="another kind of function is named 'test-ramp'"):
+    with pytest.raises(at.InvalidInput, match="another kind of function is named 'test-ramp'"):
         register_function(type("Other", (Number,), {"kind": "test-ramp"}))
 
 

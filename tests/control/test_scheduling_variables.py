@@ -5,14 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.control.controllers import Tuning
-from adaptrack.control.scheduling import VARIABLES, SchedulingVariables, read_tuning, reference_preview
+import adaptrack as at
+from adaptrack.control.scheduling import VARIABLES, read_tuning, reference_preview
 from adaptrack.control.scheduling.variables import complete
 
 
 def test_every_variable_has_a_label_a_unit_and_a_range():
-    assert tuple(VARIABLES) == SchedulingVariables._fields
+    assert tuple(VARIABLES) == at.SchedulingVariables._fields
     for variable in VARIABLES.values():
         assert variable.label
         assert variable.unit
@@ -21,9 +20,9 @@ def test_every_variable_has_a_label_a_unit_and_a_range():
 
 
 def test_what_may_be_left_out_at_the_end_is_zero():
-    assert complete([15.0, 1.0, 0.8, 3.0]) == SchedulingVariables(15.0, 1.0, 0.8, 3.0, 0.0, 0.0, 0.0)
-    assert complete(np.arange(7.0)) == SchedulingVariables(*range(7))
-    assert complete(all_given := SchedulingVariables(*range(7))) is all_given
+    assert complete([15.0, 1.0, 0.8, 3.0]) == at.SchedulingVariables(15.0, 1.0, 0.8, 3.0, 0.0, 0.0, 0.0)
+    assert complete(np.arange(7.0)) == at.SchedulingVariables(*range(7))
+    assert complete(all_given := at.SchedulingVariables(*range(7))) is all_given
 
 
 @pytest.mark.parametrize(
@@ -32,7 +31,7 @@ def test_what_may_be_left_out_at_the_end_is_zero():
     ids=str,
 )
 def test_missing_variables_and_what_is_no_number_are_refused(values):
-    with pytest.raises(InvalidInput, match="need 7 numbers, speed, y_ref"):
+    with pytest.raises(at.InvalidInput, match="need 7 numbers, speed, y_ref"):
         complete(values)
 
 
@@ -52,7 +51,7 @@ def test_the_preview_is_that_of_the_reference_and_nothing_else():
 
 # -- answers ----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "answer", [Tuning(30, 5, 1.0, 10.0), (30, 5, 1, 10.0), [30, 5, 1.0, 10], np.array([30.0, 5, 1, 10])]
+    "answer", [at.Tuning(30, 5, 1.0, 10.0), (30, 5, 1, 10.0), [30, 5, 1.0, 10], np.array([30.0, 5, 1, 10])]
 )
 def test_a_tuning_and_four_numbers_are_an_answer(answer):
     read = read_tuning(answer)
@@ -80,5 +79,5 @@ def test_a_tuning_and_four_numbers_are_an_answer(answer):
     ids=range(13),
 )  # fmt: skip
 def test_nonsense_is_no_answer(answer, message):
-    with pytest.raises(InvalidInput, match=message):
+    with pytest.raises(at.InvalidInput, match=message):
         read_tuning(answer)

@@ -1,7 +1,5 @@
 """A kernel is the same function in the library, called by its address, and as the Python that it is."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

@@ -9,10 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 import adaptrack as at
-from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
-from adaptrack.cars.plant import SteppedPlant, _registry, get_plant, register_plant
-from adaptrack.control.controllers import get_controller, register_controller
+from adaptrack.cars.plant import _registry
 from adaptrack.control.controllers import registry as controllers
 from adaptrack.drive import drivers
 from adaptrack.drive.world import warn_once
@@ -35,7 +33,7 @@ class Mine(at.Controller):
         return _answer(self.answer)
 
 
-class Stepped(SteppedPlant):
+class Stepped(at.SteppedPlant):
     name, tyre_name, longest_step = "mine", "none", 0.01
     powertrain = {"mass": 1500.0, "engine_power": 1e5, "traction_limit": 5e3, "brake_limit": 1e4}  # noqa: RUF012
     answer: object = None
@@ -69,7 +67,7 @@ def test_a_controller_that_returns_no_angle_is_named_in_a_simulation_and_in_a_tr
     controller = Mine()
     controller.answer = answer
     for drive in (lambda: _simulate(controller), lambda: at.Tracker(controller, ROAD).step(0.0, 0.0, 0.0, 0.0, 10.0)):
-        with pytest.raises(ContractError, match=r"controller 'Mine': step\(\) .* it must return the steering angle"):
+        with pytest.raises(at.ContractError, match=r"controller 'Mine': step\(\) .* it must return the steering angle"):
             drive()
 
 
@@ -85,7 +83,7 @@ def test_an_angle_that_is_not_finite_ends_the_run_with_a_sentence_that_names_the
 def test_a_plant_that_returns_no_motion_is_named(answer):
     plant = Stepped()
     plant.answer = answer
-    with pytest.raises(ContractError, match=r"plant 'mine': step\(\) .* it must return six finite numbers"):
+    with pytest.raises(at.ContractError, match=r"plant 'mine': step\(\) .* it must return six finite numbers"):
         _simulate(plant=plant)
 
 
@@ -102,19 +100,21 @@ REQUESTS = [SimpleNamespace(acceleration=0.0, force=force, hold=hold)
 
 @pytest.mark.parametrize("answer", [*NONSENSE, math.inf, *REQUESTS, SimpleNamespace(force=0.0, hold=0.0)])
 def test_a_driver_that_returns_no_requests_is_named(answer):
-    with pytest.raises(ContractError, match=r"driver SimpleNamespace: step\(\) .* it must return a SpeedCommand"):
+    with pytest.raises(at.ContractError, match=r"driver SimpleNamespace: step\(\) .* it must return a SpeedCommand"):
         _simulate(driver=_driver("follower", answer))
 
 
 @pytest.mark.parametrize("answer", NONSENSE)
 def test_a_driver_that_begins_nothing_is_named(answer):
-    with pytest.raises(ContractError, match=r"`begin` of the driver SimpleNamespace .* it must return an object with"):
+    with pytest.raises(
+        at.ContractError, match=r"`begin` of the driver SimpleNamespace .* it must return an object with"
+    ):
         _simulate(driver=_driver(answer))
 
 
 @pytest.mark.parametrize("driver", ["speed-control", 1.0, object()])
 def test_what_cannot_drive_is_refused_as_driver(driver):
-    with pytest.raises(InvalidInput, match=r"driver = .*: must be a Driver, a SpeedControl"):
+    with pytest.raises(at.InvalidInput, match=r"driver = .*: must be a Driver, a SpeedControl"):
         _simulate(driver=driver)
 
 
@@ -131,17 +131,17 @@ def test_a_scheduler_that_returns_no_tuning_is_named_and_the_tuning_before_stays
 
 @pytest.mark.parametrize("answer", NONSENSE)
 def test_a_factory_that_makes_no_member_is_named(answer):
-    register_plant("bad-plant", lambda vehicle, tyre: _answer(answer))
-    register_controller("bad-controller", lambda vehicle: _answer(answer))
+    at.register_plant("bad-plant", lambda vehicle, tyre: _answer(answer))
+    at.register_controller("bad-controller", lambda vehicle: _answer(answer))
     drivers.register_driver("bad-driver", lambda car: _answer(answer))
     with pytest.raises(
-        ContractError, match=r"plant 'bad-plant': its factory .* it must return a Plant or SteppedPlant"
+        at.ContractError, match=r"plant 'bad-plant': its factory .* it must return a Plant or SteppedPlant"
     ):
-        get_plant("bad-plant", CAR)
-    with pytest.raises(ContractError, match=r"controller 'bad-controller': its factory .* must return a Controller"):
-        get_controller("bad-controller", CAR)
+        at.get_plant("bad-plant", CAR)
+    with pytest.raises(at.ContractError, match=r"controller 'bad-controller': its factory .* must return a Controller"):
+        at.get_controller("bad-controller", CAR)
     with pytest.raises(
-        ContractError, match=r"driver 'bad-driver': its factory .* must return a Driver or SpeedControl"
+        at.ContractError, match=r"driver 'bad-driver': its factory .* must return a Driver or SpeedControl"
     ):
         drivers.make_driver("bad-driver", CAR)
 

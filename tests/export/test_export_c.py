@@ -21,16 +21,14 @@ from typer.testing import CliRunner
 import adaptrack as at
 import exported
 from adaptrack.cli.app import app
-from adaptrack.control.tracker import Tracker
 from adaptrack.core.build import compile
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.roads.road import LINE_NUMBERS
-from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.memory import FILE_HEAD
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import Twin, tracking_memory
-from adaptrack.road import Comfort, plan_speed, road_through
+from adaptrack.road import Comfort
 from adaptrack.road.speed import constant_speed
 from exported import CPath, CTracker, Exported
 from programs import find_program
@@ -60,7 +58,7 @@ def test_a_car_that_leaves_the_road_at_the_planned_speed_is_recorded_more_slowly
     car = CAR.replace(steering=at.Steering(dead_time=0.3))
     controller = at.MPC(car, profile="road", learning=at.Learning())
     road, world = at.generate_road("country"), at.load_profile("road")
-    planned, steady = plan_speed(road, car), constant_speed(road, 14.0)
+    planned, steady = at.plan_speed(road, car), constant_speed(road, 14.0)
     record = record_drive(controller, at.DualTrack(car), road, planned, world)
     assert record.failed == ""
     assert record.plan.speed[:-2].max() < controller.learner.first_top_speed
@@ -71,8 +69,8 @@ def test_a_car_that_leaves_the_road_at_the_planned_speed_is_recorded_more_slowly
 @pytest.fixture(scope="module")
 def way():
     """A path and a plan of the speed along it."""
-    path = road_through(POINTS)
-    return path, plan_speed(path, CAR, Comfort(lateral=2.0))
+    path = at.road_through(POINTS)
+    return path, at.plan_speed(path, CAR, Comfort(lateral=2.0))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +88,7 @@ def library_of(folder, way):
         if key not in libraries:
             place = folder / f"{len(libraries)}-{name}"
             controller = CONTROLLERS[name]()
-            export_c(controller, place, road=way[0], plan=way[1], **options)
+            at.export_c(controller, place, road=way[0], plan=way[1], **options)
             libraries[key] = Exported(place, controller)
         return libraries[key]
 
@@ -125,7 +123,7 @@ def count_differences(library_of, way, name, steps, seed=0):
     library = library_of(name)
     tracker, rng = start_tracker(library, way), np.random.default_rng(seed)
     if library.controller.scheduler is None:
-        twin = Tracker(copy.deepcopy(library.controller), way[0], plan=way[1])
+        twin = at.Tracker(copy.deepcopy(library.controller), way[0], plan=way[1])
         differences = differing(tracker, lambda sample: in_python(twin, sample), calls(rng, steps, way[0]))
     else:
         twin = Twin(library.controller, *way)
@@ -432,7 +430,7 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
 ])  # fmt: skip
 def test_what_is_python_is_refused_by_name_and_nothing_is_written(make, message, tmp_path):
     with pytest.raises(at.InvalidInput, match=message):
-        export_c(make(), tmp_path / "out")
+        at.export_c(make(), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -515,7 +513,7 @@ def test_another_processor_answers_the_same_bits(target, name, way, folder):
 
 def _differing_on(name, way, place, compiler, emulator):
     controller, rng = CONTROLLERS[name](), np.random.default_rng(7)
-    export_c(controller, place, road=way[0], plan=way[1])
+    at.export_c(controller, place, road=way[0], plan=way[1])
     samples = np.array([[*sample[:10], rng.uniform(0.3, 1.0), rng.choice([math.nan, 3.0]), sample[12]]
                         for sample in calls(rng, EACH, way[0])])  # fmt: skip
     head = [len(POINTS), way[1].s.size], POINTS, way[1].s, way[1].speed, samples
@@ -546,7 +544,7 @@ def test_a_path_of_noisy_points_is_the_one_of_python_to_the_bit(closed, noise, l
     points = np.stack([40.0 * np.cos(angle), 25.0 * np.sin(angle)], axis=-1)
     points += 0.05 * np.random.default_rng(3).standard_normal(points.shape)
     c = library_of("stanley").c
-    road = road_through(points, closed=closed, noise=None if math.isnan(noise) else noise)
+    road = at.road_through(points, closed=closed, noise=None if math.isnan(noise) else noise)
     made = CPath(c, points, closed, surplus=20_000, noise=noise)  # noise that is not smoothed needs more pieces
     c.adaptrack_path_curvature.restype = c.adaptrack_path_length.restype = ctypes.c_double
     assert made.error == exported.OK

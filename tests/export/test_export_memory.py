@@ -10,7 +10,6 @@ import pytest
 import adaptrack as at
 import exported
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.tracking import tracking_memory
 from exported import CTracker, Exported
@@ -29,7 +28,7 @@ def controller(tuning=None, **options):
 def library(tmp_path_factory):
     """The export of one, as a library of this process."""
     folder, mpc = tmp_path_factory.mktemp("export"), controller()
-    export_c(mpc, folder)
+    at.export_c(mpc, folder)
     return Exported(folder, mpc)
 
 

@@ -12,7 +12,6 @@ import pytest
 import adaptrack as at
 import page_drives
 from adaptrack import cli
-from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from adaptrack.export.page_setup import road_of
@@ -123,7 +122,7 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
     ({"profile": "production", "controllers": ["published"]}, "does not measure vy"),
 ])  # fmt: skip
 def test_what_the_page_cannot_drive_is_refused_before_it_is_written(options, message, tmp_path):
-    with pytest.raises(InvalidInput, match=re.escape(message)):
+    with pytest.raises(at.InvalidInput, match=re.escape(message)):
         at.export_page(tmp_path / "drive.html", **options)
     assert not list(tmp_path.iterdir())
 

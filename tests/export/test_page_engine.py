@@ -11,7 +11,6 @@ import pytest
 
 import adaptrack as at
 import page_drives
-from adaptrack.base.errors import AdaptrackError
 from adaptrack.cars.vehicle import pack_plant
 from adaptrack.control.controllers.base import Room
 from adaptrack.core import library
@@ -23,7 +22,6 @@ from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
 from adaptrack.export.page_setup import simulate_setup
-from adaptrack.scenario.profile import load_profile
 from pages import differing
 from programs import find_program
 
@@ -40,7 +38,7 @@ def parts():
 
     try:
         return _together(ENGINE), page_kernels(), json.dumps(page_data(), allow_nan=False)
-    except AdaptrackError as error:
+    except at.AdaptrackError as error:
         pytest.skip(str(error))
 
 
@@ -122,7 +120,7 @@ def test_a_drive_begins_with_what_its_controller_assumes_of_the_steering(ask):
     setup = page_drives.SETUPS["informed"]
     _, started = ask(drive(setup)[0])
     controller = page_setup.controller_of(
-        setup["controllers"][0], page_setup.car_of(setup["car"]), load_profile(setup["profile"])
+        setup["controllers"][0], page_setup.car_of(setup["car"]), at.load_profile(setup["profile"])
     )  # fmt: skip
     assumed = {name: controller.belief.steering[name] for name in ("lag", "dead_time")}
     assert started["cars"][0]["belief"] == assumed
@@ -167,7 +165,7 @@ def advance_message(periods):
 
 def by_python(before, touch, after):
     """States of `TOUCHED` driven by the package's kernels, with a touch of its run between two stretches."""
-    car, profile = page_setup.car_of(TOUCHED["car"]), load_profile("road")
+    car, profile = page_setup.car_of(TOUCHED["car"]), at.load_profile("road")
     road_drive, controller = (
         page_setup.drive_of(TOUCHED, car),
         page_setup.controller_of(TOUCHED["controllers"][0], car, profile),

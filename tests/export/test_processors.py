@@ -26,7 +26,6 @@ from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.batch import Batch
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import speed_part
-from adaptrack.road import plan_speed, road_through
 from by_kernels import CASES, make_order
 from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, run
@@ -240,8 +239,8 @@ SMALL = {
 
 def program(name, count, folder):
     """With a speed control: half of the samples are those of a drive with a stop and hills."""
-    path, controller = road_through(POINTS), SMALL[name]()
-    plan, samples = plan_speed(path, CAR), np.array(list(calls(np.random.default_rng(2), count, path)))
+    path, controller = at.road_through(POINTS), SMALL[name]()
+    plan, samples = at.plan_speed(path, CAR), np.array(list(calls(np.random.default_rng(2), count, path)))
     speed = at.SpeedControl(CAR, (0.6, 0.9)) if name == "speed control" else None
     if speed is not None:
         part = speed_part(speed, controller, plan)

@@ -1,7 +1,5 @@
 """The ROS 2 package: messages become the right numbers, and late and lost ones do not lose the car."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

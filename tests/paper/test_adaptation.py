@@ -1,7 +1,5 @@
 """Schedules that learn on the closed loop, and their evaluation: separate data, resumable files, the guard, costs."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import shutil
