@@ -57,18 +57,6 @@ def test_a_load_makes_the_tyres_stiffer_and_leaves_the_inertia():
     assert 2 * laden.stiffness_front == pytest.approx(AXLE_COEFFICIENTS[0] * weight, rel=1e-3)
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"mass": 3.7}, "mass = 3.7 kg: must be a finite number >= 600 and <= 3500; .* give all six numbers"),
-    ({"wheelbase": 27}, "wheelbase = 27 m"),
-    ({"body_style": "cars"}, "body_style = 'cars': unknown. Did you mean 'car'"),
-    ({"lf": 1.0, "lr": 1.0}, "do not make the wheelbase"),
-    ({"stiffness_frnt": 1e4}, "Did you mean 'stiffness_front'"),
-])  # fmt: skip
-def test_a_data_sheet_that_cannot_be_is_refused(arguments, message):
-    with pytest.raises((at.InvalidInput, at.UnknownName), match=message):
-        at.vehicle_from_data_sheet("x", **({"mass": 1500, "wheelbase": 2.7} | arguments))
-
-
 @pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.parametrize("profile", ["road", "production"])

@@ -154,10 +154,6 @@ class TestFields:
         with pytest.raises(ValidationError):
             vehicle.mass = 1.0
         assert vehicle.mass == 1575
-        with pytest.raises(at.InvalidInput, match=r"mass = -1: must be a finite number > 0 .*kg"):
-            vehicle.replace(mass=-1)
-        with pytest.raises(at.InvalidInput, match=r"mas: unknown key. Did you mean 'mass'\?"):
-            vehicle.replace(mas=1)
 
     def test_sets_survive_their_file_pickling_and_json(self, tmp_path):
         sets = [
@@ -178,24 +174,9 @@ class TestFields:
             with pytest.raises(at.InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
                 car(**{name: value})
 
-    @pytest.mark.parametrize(("changes", "message"), [
-        ({"mass": 1.5}, r"yaw_inertia/\(mass lf lr\) = .*Give the mass in kg"),
-        ({"yaw_inertia": 2.5}, "do not belong together"),
-        ({"stiffness_front": 1.0e3}, "stiffness_front = 1000 N/rad is .* N/deg times 57.3"),
-        ({"stiffness_rear": 60.0}, "stiffness_rear = 60 N/rad .* kN/rad times 1000"),
-    ])  # fmt: skip
-    def test_numbers_in_another_unit_than_the_others_are_refused_with_the_remedy(self, changes, message):
-        with pytest.raises(at.InvalidInput, match=message):
-            at.load_vehicle("midsize-sedan").replace(**changes)
-
     def test_the_ends_of_a_range_are_in_it(self):
         for value in (0, 1):
             assert car(drive_front=value, brake_front=value).drive_front == value
-        for value in (-0.01, 1.01):
-            with pytest.raises(
-                at.InvalidInput, match=rf"brake_front = {value}: must be a finite number >= 0 and <= 1 "
-            ):
-                car(brake_front=value)
 
 
 class TestTyre:
@@ -218,22 +199,6 @@ class TestActuator:
         ideal = at.SteeringActuator.ideal()
         assert (ideal.lag, ideal.rate) == (0, math.inf)
         assert ideal.limit >= math.pi / 6  # the MPC's own bound stays the tighter one
-
-    @pytest.mark.parametrize(("make", "words"), [
-        (lambda: tyre(relaxation_length=-0.1), "relaxation_length = -0.1: must be a finite number >= 0"),
-        (lambda: tyre(stiffness_load="digressive"), "a digressive stiffness needs the load ratio"),
-        (lambda: tyre(stiffness_load="linear", digressive_load_ratio=2.0), "= 2.0: only stiffness_load = 'digress"),
-        (lambda: at.SteeringActuator(rate=0.5), "rate = 0.5: a rate limit acts on the lag: give lag > 0"),
-        (lambda: at.SteeringActuator(lag=0.1, rate=0), "rate = 0"),
-        (lambda: at.SteeringActuator(lag=-0.1), "lag = -0.1"),
-        (lambda: at.SteeringActuator(limit=2.0), "limit = 2.0"),
-        (lambda: at.load_vehicle("midsize-sedn"), "no vehicle is named 'midsize-sedn'. Did you mean 'midsize-sedan'"),
-        (lambda: at.load_tyre("passanger-car"), "Did you mean 'passenger-car'"),
-        (lambda: at.load_vehicle(3), "= 3: must be text or a path"),
-    ])  # fmt: skip
-    def test_impossible_tyres_steering_and_names_are_refused(self, make, words):
-        with pytest.raises((at.InvalidInput, at.UnknownName), match=words):
-            make()
 
 
 class TestSteadyTurn:
@@ -264,9 +229,6 @@ class TestSteadyTurn:
         vehicle = car(stiffness_front=60e3, stiffness_rear=30e3)
         critical = vehicle.critical_speed
         assert vehicle.characteristic_speed == math.inf
-        for vx in (-1.0, math.nan, math.inf, 1000.0):
-            with pytest.raises(at.InvalidInput, match="steady_state_yaw_gain: vx = "):
-                vehicle.steady_state_yaw_gain(vx)
         assert np.linalg.eigvals(lateral_matrices(vehicle, 0.99 * critical)[0]).real.max() < 0
         assert np.linalg.eigvals(lateral_matrices(vehicle, 1.01 * critical)[0]).real.max() > 0
 
