@@ -271,11 +271,10 @@ def test_a_stepped_plant_is_checked_with_the_steps_of_the_loop():
     assert steps == {round(0.05 / 3, 9)}
 
 
-@pytest.mark.parametrize(
-    "fault",
-    ["six finite numbers", "write to its arguments", "go straight", "follow the speed", "to the left", "mirrored",
-     "after reset"],
-)  # fmt: skip
+@pytest.mark.parametrize("fault", [
+    "six finite numbers", "write to its arguments", "go straight", "follow the speed", "to the left", "mirrored",
+    "after reset",
+])  # fmt: skip
 def test_the_checker_refuses_a_stepped_plant_that_breaks(fault):
     with pytest.raises(at.ContractError, match=fault):
         at.check_plant(Bicycle(fault), symmetric=fault != "after reset")

@@ -149,30 +149,27 @@ def test_what_is_left_out_is_said(tmp_path):
     assert all(words in notes for words in ("Camber", "aligning moment", "longitudinal slip"))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"LATERAL_COEFFICIENTS": None}, r"no section \[LATERAL_COEFFICIENTS\]"),
-        ({"UNITS": None}, r"no section \[UNITS\]: write LENGTH"),
-        ({"VERTICAL": "X = 1"}, r"has no FNOMIN"),
-        ({"UNITS": "LENGTH = 'furlong'\nFORCE = 'newton'\nANGLE = 'rad'"}, r"line 5: LENGTH = 'furlong': unknown unit"),
-        ({"UNITS": "LENGTH = 'meter'\nFORCE = 'kN'\nANGLE = 'rad'"}, r"FNOMIN = 4000 is 4e\+06 N, .* wrong \[UNITS\]"),
-        ({"UNITS": "LENGTH = 'meter'\nFORCE = 'newton'\nANGLE = 'degrees'"}, r"PKY1 = -15.324.*per degree"),
-        ({"MODEL": "PROPERTY_FILE_FORMAT = 'FTIRE'"}, r"line 10: tyre model 'FTIRE' cannot be read"),
-        ({"MODEL": "FITTYP = 7"}, r"tyre model '7' cannot be read"),
-        ({"MODEL": "LONGVL = 16"}, r"has no FITTYP and no PROPERTY_FILE_FORMAT"),
-        ({"DIMENSION": "UNLOADED_RADIUS = 313.5"}, r"line 13: UNLOADED_RADIUS = 313.5 is 313.5 m"),
-        ({"SCALING_COEFFICIENTS": "LKY = -1"}, r"LKY = -1: a scaling factor must be positive"),
-        ({"VERTICAL_FORCE_RANGE": "FZMIN = 9000\nFZMAX = 9500"}, r"holds no load near FNOMIN"),
-        ({"LATERAL_COEFFICIENTS": "PCY1 = 1.3\nPKY1 = -15\nPKY2 = 1.7"}, r"has no PDY1"),
-        ({"PDY1": "nan"}, r"line \d+: PDY1 = nan: must be a finite number"),
-        ({"PKY2": "much"}, r"line \d+: PKY2 = 'much': must be a number"),
-        ({"PKY2": -1.7}, r"PKY2 = -1.7: the load .* is from 1e-06"),
-        ({"PDY2": -3.0}, r"the friction is not positive at \d+ N"),
-        ({"PKY4": 5.0}, r"the cornering stiffness is not positive at \d+ N"),
-        ({"PDY1": "1\nPDY1 = 1\nPDY1 = 1.4"}, r"line \d+: PDY1 stands in line \d+ with another value"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"LATERAL_COEFFICIENTS": None}, r"no section \[LATERAL_COEFFICIENTS\]"),
+    ({"UNITS": None}, r"no section \[UNITS\]: write LENGTH"),
+    ({"VERTICAL": "X = 1"}, r"has no FNOMIN"),
+    ({"UNITS": "LENGTH = 'furlong'\nFORCE = 'newton'\nANGLE = 'rad'"}, r"line 5: LENGTH = 'furlong': unknown unit"),
+    ({"UNITS": "LENGTH = 'meter'\nFORCE = 'kN'\nANGLE = 'rad'"}, r"FNOMIN = 4000 is 4e\+06 N, .* wrong \[UNITS\]"),
+    ({"UNITS": "LENGTH = 'meter'\nFORCE = 'newton'\nANGLE = 'degrees'"}, r"PKY1 = -15.324.*per degree"),
+    ({"MODEL": "PROPERTY_FILE_FORMAT = 'FTIRE'"}, r"line 10: tyre model 'FTIRE' cannot be read"),
+    ({"MODEL": "FITTYP = 7"}, r"tyre model '7' cannot be read"),
+    ({"MODEL": "LONGVL = 16"}, r"has no FITTYP and no PROPERTY_FILE_FORMAT"),
+    ({"DIMENSION": "UNLOADED_RADIUS = 313.5"}, r"line 13: UNLOADED_RADIUS = 313.5 is 313.5 m"),
+    ({"SCALING_COEFFICIENTS": "LKY = -1"}, r"LKY = -1: a scaling factor must be positive"),
+    ({"VERTICAL_FORCE_RANGE": "FZMIN = 9000\nFZMAX = 9500"}, r"holds no load near FNOMIN"),
+    ({"LATERAL_COEFFICIENTS": "PCY1 = 1.3\nPKY1 = -15\nPKY2 = 1.7"}, r"has no PDY1"),
+    ({"PDY1": "nan"}, r"line \d+: PDY1 = nan: must be a finite number"),
+    ({"PKY2": "much"}, r"line \d+: PKY2 = 'much': must be a number"),
+    ({"PKY2": -1.7}, r"PKY2 = -1.7: the load .* is from 1e-06"),
+    ({"PDY2": -3.0}, r"the friction is not positive at \d+ N"),
+    ({"PKY4": 5.0}, r"the cornering stiffness is not positive at \d+ N"),
+    ({"PDY1": "1\nPDY1 = 1\nPDY1 = 1.4"}, r"line \d+: PDY1 stands in line \d+ with another value"),
+])  # fmt: skip
 def test_what_is_missing_or_impossible_is_named_with_its_line(tmp_path, changes, message):
     """changes: sections, or coefficients."""
     coefficients = BOOK | {key: value for key, value in changes.items() if key in BOOK}

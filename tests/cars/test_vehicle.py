@@ -408,23 +408,20 @@ class Drive(BaseModel):  # a plain pydantic model will do as well
 
 
 class TestTomlFiles:
-    @pytest.mark.parametrize(
-        ("data", "message"),
-        [
-            ({"shape": {"kind": "step"}}, r"f: shape.amplitude: missing; give a finite number > 0 \(m, height"),
-            ({"shape": {"kind": "step", "amplitud": 1, "amplitude": 1}}, r"shape.amplitud: unknown key. Did you mean"),
-            ({"shape": {"kind": "table", "values": [1, "2"]}}, r"shape.values\[1\] = '2': must"),
-            ({"shape": {"kind": "stepp", "amplitude": 1}}, r"shape.kind = 'stepp': unknown. Did you mean 'step'\?"),
-            ({"shape": {"amplitude": 1}}, r"shape.kind: missing"),
-            ({"shape": 3}, r"shape = 3: "),
-            ({}, r"f: shape: missing"),
-            ([1], r"f: expected a table of keys, got \[1\]"),
-            ({"shape": {"kind": "step", "amplitude": 1}, "steps": [{"amplitude": 1}, {"amplitude": 0}]},
-             r"steps\[1\].amplitude = 0: must be a finite number > 0"),
-            ({"shape": {"kind": "step", "amplitude": 1}, "repeat": 1.5}, r"repeat = 1.5: must be a whole number"),
-            ({"shape": {"kind": "step", "amplitude": "x" * 10_000}}, r"shape.amplitude = 'xxx"),
-        ],
-    )  # fmt: skip
+    @pytest.mark.parametrize(("data", "message"), [
+        ({"shape": {"kind": "step"}}, r"f: shape.amplitude: missing; give a finite number > 0 \(m, height"),
+        ({"shape": {"kind": "step", "amplitud": 1, "amplitude": 1}}, r"shape.amplitud: unknown key. Did you mean"),
+        ({"shape": {"kind": "table", "values": [1, "2"]}}, r"shape.values\[1\] = '2': must"),
+        ({"shape": {"kind": "stepp", "amplitude": 1}}, r"shape.kind = 'stepp': unknown. Did you mean 'step'\?"),
+        ({"shape": {"amplitude": 1}}, r"shape.kind: missing"),
+        ({"shape": 3}, r"shape = 3: "),
+        ({}, r"f: shape: missing"),
+        ([1], r"f: expected a table of keys, got \[1\]"),
+        ({"shape": {"kind": "step", "amplitude": 1}, "steps": [{"amplitude": 1}, {"amplitude": 0}]},
+         r"steps\[1\].amplitude = 0: must be a finite number > 0"),
+        ({"shape": {"kind": "step", "amplitude": 1}, "repeat": 1.5}, r"repeat = 1.5: must be a whole number"),
+        ({"shape": {"kind": "step", "amplitude": "x" * 10_000}}, r"shape.amplitude = 'xxx"),
+    ])  # fmt: skip
     def test_problems_in_nested_tables_are_named_by_their_place(self, data, message):
         with pytest.raises(at.ConfigError, match=message) as caught:
             build(Drive, data, "f")

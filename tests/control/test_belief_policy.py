@@ -160,10 +160,9 @@ def test_a_controller_that_learns_counts_a_stated_computation_time_before_the_de
     assert stated.model.dead_time == pytest.approx(plain.model.dead_time + 0.05)
 
 
-@pytest.mark.parametrize(
-    ("make", "computation"),
-    [(at.MPC, -0.01), (at.KinematicMPC, math.nan), (at.PreviewLQR, 2.0), (at.published_mpc, 0.05)],
-)
+@pytest.mark.parametrize(("make", "computation"), [
+    (at.MPC, -0.01), (at.KinematicMPC, math.nan), (at.PreviewLQR, 2.0), (at.published_mpc, 0.05),
+])  # fmt: skip
 def test_an_impossible_computation_time_is_refused(make, computation):
     with pytest.raises(at.InvalidInput, match="computation"):
         make(CAR, computation=computation)

@@ -195,11 +195,10 @@ def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output,
         assert command.move == pytest.approx(expected.move, rel=1e-8, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("horizons", "used"),
-    [((34.5, 8.2), (35, 8)), ((34.49, 7.5), (34, 8)), ((10.0, 14.0), (10, 10)), ((1e12, 1e12), (60, 20)),
-     ((0.2, 0.2), (1, 1)), ((-7.0, 3.0), (1, 1)), ((60.4, 19.6), (60, 20))],
-)  # fmt: skip
+@pytest.mark.parametrize(("horizons", "used"), [
+    ((34.5, 8.2), (35, 8)), ((34.49, 7.5), (34, 8)), ((10.0, 14.0), (10, 10)), ((1e12, 1e12), (60, 20)),
+    ((0.2, 0.2), (1, 1)), ((-7.0, 3.0), (1, 1)), ((60.4, 19.6), (60, 20)),
+])  # fmt: skip
 def test_real_valued_horizons_are_rounded_and_clamped(horizons, used):
     mpc = at.published_mpc(CAR, scheduler=lambda variables: (*horizons, 10.0, 0.01))
     command = mpc.step(REST, 15.0, [0.2], HERE)
@@ -221,12 +220,10 @@ def raising(variables):
     raise RuntimeError("the network is down")
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [(35, 8, 10.0), None, "fast", (35, 8, 10.0, "small"), (35, 8, 10**400, 1.0), {}, 3.0, [[35, 8, 1, 1]],
-     (math.nan, 4, 1.0, 0.5), (20, math.inf, 1.0, 0.5), (20, 4, -math.inf, 0.5), (20, 4, 1.0, math.nan), raising],
-    ids=lambda answer: str(answer)[:20],
-)  # fmt: skip
+@pytest.mark.parametrize("answer", [
+    (35, 8, 10.0), None, "fast", (35, 8, 10.0, "small"), (35, 8, 10**400, 1.0), {}, 3.0, [[35, 8, 1, 1]],
+    (math.nan, 4, 1.0, 0.5), (20, math.inf, 1.0, 0.5), (20, 4, -math.inf, 0.5), (20, 4, 1.0, math.nan), raising
+], ids=lambda answer: str(answer)[:20])  # fmt: skip
 def test_a_scheduler_that_fails_keeps_the_tuning_before_is_counted_and_said_once(answer, caplog):
     tuning = at.Tuning(20, 4, 2.0, 0.5)
     scheduler = answer if callable(answer) else lambda variables: answer
@@ -265,11 +262,9 @@ def test_what_makes_no_controller_is_refused_by_name(make, argument, values):
 
 # -- workspace --------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"moves": MOVES["laguerre"]}, {"limits": at.Limits(output=(-0.5, 0.5))}, {"solver": "hildreth"}],
-    ids=["pulse", "laguerre", "soft", "hildreth"],
-)
+@pytest.mark.parametrize("options", [
+    {}, {"moves": MOVES["laguerre"]}, {"limits": at.Limits(output=(-0.5, 0.5))}, {"solver": "hildreth"}
+], ids=["pulse", "laguerre", "soft", "hildreth"])  # fmt: skip
 def test_what_a_workspace_held_before_changes_no_bit(options, rng):
     from adaptrack.core.controllers.mpc_step import MPCStep, step
 

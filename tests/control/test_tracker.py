@@ -176,13 +176,10 @@ def test_a_reset_of_the_controller_before_engaging_is_as_a_new_one(make):
 
 
 # -- delays of the loop -----------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("options", "seconds", "contradicts"),
-    [
-        ({}, 0.0, False), ({}, 0.04, True), ({"computation": 0.05}, 0.04, False), ({"computation": 0.05}, 0.0, True),
-        ({"profile": "road"}, 0.0, True),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("options", "seconds", "contradicts"), [
+    ({}, 0.0, False), ({}, 0.04, True), ({"computation": 0.05}, 0.04, False), ({"computation": 0.05}, 0.0, True),
+    ({"profile": "road"}, 0.0, True),
+])  # fmt: skip
 def test_a_tracker_says_once_that_its_calls_contradict_the_computation_time(
     options, seconds, contradicts, caplog, monkeypatch
 ):

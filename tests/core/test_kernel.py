@@ -43,11 +43,10 @@ def test_columns_keep_their_fields_and_the_header_describes_them():
         assert f"/* {field.remark} */" in text
 
 
-@pytest.mark.parametrize(
-    ("lag", "ratio", "required", "optional"),
-    [(0.0, 2.0, True, True), (1.0, 2.0, False, False), (-0.1, 2.0, False, False), (0.5, 0.0, False, False),
-     (0.5, math.inf, True, True), (math.inf, 2.0, False, False), (math.nan, 2.0, False, True)],
-)  # fmt: skip
+@pytest.mark.parametrize(("lag", "ratio", "required", "optional"), [
+    (0.0, 2.0, True, True), (1.0, 2.0, False, False), (-0.1, 2.0, False, False), (0.5, 0.0, False, False),
+    (0.5, math.inf, True, True), (math.inf, 2.0, False, False), (math.nan, 2.0, False, True),
+])  # fmt: skip
 def test_numbers_are_within_the_bounds_of_their_fields_and_unknown_ones_where_they_may_be(
     lag, ratio, required, optional
 ):

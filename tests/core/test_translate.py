@@ -42,26 +42,23 @@ NUMBER = kernel.float64(kernel.float64)
 VECTOR = kernel.float64(kernel.vector)
 
 
-@pytest.mark.parametrize(
-    ("text", "signature", "line", "remedy"),
-    [
-        ("def f(x):\n    try:\n        return x\n    except ValueError:\n        return 0.0", NUMBER, 2, "has no Try"),
-        ("def f(x):\n    return sum([x, x])", NUMBER, 2, "has no List"),
-        ("def f(x):\n    y = x\n    return print(y)", NUMBER, 3, "mark it as `inlined` or `exported`"),
-        ("def f(x):\n    return x[0.5]", VECTOR, 2, "use `maths.bits.whole`"),
-        ("def f(x):\n    return x**3", NUMBER, 2, "use `maths.exponential.power`"),
-        ("def f(x):\n    return x % 2.0", NUMBER, 2, "maths.exact.modulo"),
-        ("def f(x):\n    return int(x)", NUMBER, 2, "use `maths.bits.whole`"),
-        ("def f(x):\n    if x > 0.0:\n        y = x\n    else:\n        y = Point(x, x)\n    return y", NUMBER, 5,
-         "give the second its own name"),
-        ("def f(x):\n    n = x.size\n    return float(n << n)", VECTOR, 3, "use `maths.bits.left`"),
-        ("def f(x):\n    return x.mean()", VECTOR, 2, "name one of its fields"),
-        ("def f(x):\n    p = Point(x, x)\n    p.x = 1.0\n    return p.x", NUMBER, 3, "make a new one"),
-        ("def f(x):\n    for i in range(3):\n        x += 1.0\n    else:\n        x = 0.0\n    return x", NUMBER, 2,
-         "use a variable"),
-        ("def f(x):\n    return x[::2][0]", VECTOR, 2, "write a loop"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "signature", "line", "remedy"), [
+    ("def f(x):\n    try:\n        return x\n    except ValueError:\n        return 0.0", NUMBER, 2, "has no Try"),
+    ("def f(x):\n    return sum([x, x])", NUMBER, 2, "has no List"),
+    ("def f(x):\n    y = x\n    return print(y)", NUMBER, 3, "mark it as `inlined` or `exported`"),
+    ("def f(x):\n    return x[0.5]", VECTOR, 2, "use `maths.bits.whole`"),
+    ("def f(x):\n    return x**3", NUMBER, 2, "use `maths.exponential.power`"),
+    ("def f(x):\n    return x % 2.0", NUMBER, 2, "maths.exact.modulo"),
+    ("def f(x):\n    return int(x)", NUMBER, 2, "use `maths.bits.whole`"),
+    ("def f(x):\n    if x > 0.0:\n        y = x\n    else:\n        y = Point(x, x)\n    return y", NUMBER, 5,
+     "give the second its own name"),
+    ("def f(x):\n    n = x.size\n    return float(n << n)", VECTOR, 3, "use `maths.bits.left`"),
+    ("def f(x):\n    return x.mean()", VECTOR, 2, "name one of its fields"),
+    ("def f(x):\n    p = Point(x, x)\n    p.x = 1.0\n    return p.x", NUMBER, 3, "make a new one"),
+    ("def f(x):\n    for i in range(3):\n        x += 1.0\n    else:\n        x = 0.0\n    return x", NUMBER, 2,
+     "use a variable"),
+    ("def f(x):\n    return x[::2][0]", VECTOR, 2, "write a loop"),
+])  # fmt: skip
 def test_a_kernel_beyond_the_subset_is_refused_with_its_line_and_a_remedy(tmp_path, text, signature, line, remedy):
     with pytest.raises(KernelError, match=rf"snippet\.py:{line}: f: ") as refusal:
         body_of(tmp_path, text, signature)

@@ -258,16 +258,13 @@ def test_known_measures_have_a_line_with_title_and_unit():
     assert max(map(len, lines)) <= 80
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: path_record(offset=np.zeros(3)), r"offset has the shape \(3,\)"),
-        (lambda: at.PathRecord(np.zeros(5), *[0.0] * 5), "increasing times"),
-        (lambda: at.load_vehicle("paper").replace(body=at.Body(length=2.5)), "does not hold wheelbase"),
-        (lambda: at.load_vehicle("paper").replace(body=at.Body(length=4.5, front_overhang=1.0, rear_overhang=1.5)),
-         "leave one out"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: path_record(offset=np.zeros(3)), r"offset has the shape \(3,\)"),
+    (lambda: at.PathRecord(np.zeros(5), *[0.0] * 5), "increasing times"),
+    (lambda: at.load_vehicle("paper").replace(body=at.Body(length=2.5)), "does not hold wheelbase"),
+    (lambda: at.load_vehicle("paper").replace(body=at.Body(length=4.5, front_overhang=1.0, rear_overhang=1.5)),
+     "leave one out"),
+])  # fmt: skip
 def test_arguments_that_make_no_sense_are_refused(make, words):
     with pytest.raises(at.InvalidInput, match=words):
         make()

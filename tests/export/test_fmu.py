@@ -188,10 +188,9 @@ def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None, 
     return states
 
 
-@pytest.mark.parametrize(
-    ("name", "has_motion_age"),
-    [*((name, True) for name in ("published", "informed", "learning", "stanley", "lqr")), ("learning", False)],
-)
+@pytest.mark.parametrize(("name", "has_motion_age"), [
+    *((name, True) for name in ("published", "informed", "learning", "stanley", "lqr")), ("learning", False),
+])  # fmt: skip
 def test_the_controller_is_the_tracker_to_the_bit(name, has_motion_age, folder):
     tracker, differ = at.Tracker(LOOPS[name][0](), country().road, plan=country().plan), []
     names = ("command", "offset", "heading_error", "station")

@@ -161,11 +161,10 @@ def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
 
 
 # -- it opens ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("name", "way"),
-    [("chromium", "disk"), ("chromium", "server"), ("firefox", "disk"),
-     pytest.param("firefox", "server", marks=pytest.mark.slow)],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "way"), [
+    ("chromium", "disk"), ("chromium", "server"), ("firefox", "disk"),
+    pytest.param("firefox", "server", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
     find_program(name)
     with serve(page.parent) as (address, paths), BROWSERS[name]() as window:

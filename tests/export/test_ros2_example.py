@@ -158,17 +158,13 @@ def test_the_car_follows_bends_within_five_centimetres(Follower):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize(
-    "channel",
-    [
-        {"late": lambda k: 0.15},
-        {"late": lambda k: 0.15, "has_motion": True},
-        {"late": lambda k: 0.2 if k % 2 else 0.1},
-        {"lost": lambda k: k % 4 == 3},
-        {"lost": lambda k: 100 <= k < 104},
-    ],
-    ids=["0.15 s late", "0.15 s late, prompt motion", "overtaking one another", "every fourth lost", "0.2 s lost"],
-)
+@pytest.mark.parametrize("channel", [
+    {"late": lambda k: 0.15},
+    {"late": lambda k: 0.15, "has_motion": True},
+    {"late": lambda k: 0.2 if k % 2 else 0.1},
+    {"lost": lambda k: k % 4 == 3},
+    {"lost": lambda k: 100 <= k < 104},
+], ids=["0.15 s late", "prompt motion", "overtaking", "every fourth lost", "0.2 s lost"])  # fmt: skip
 def test_late_and_lost_messages_do_not_lose_the_car(Follower, channel):
     loop = Loop(Follower).drive(10.0, **channel)
     assert loop.furthest < 0.05
@@ -379,12 +375,9 @@ def test_engaging_begins_at_the_angle_of_the_wheels(driving):
     assert driving.tick(0.1).angle == pytest.approx(0.4, abs=1.01 * ahead)
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}, {"drive_message": "Twist"},
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("values", [
+    {"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}, {"drive_message": "Twist"},
+])  # fmt: skip
 def test_parameters_that_are_not_possible_are_refused(values):
     with pytest.raises(at.InvalidInput):
         follower.Follower(Parameters(**values))
@@ -557,16 +550,13 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
 
 @pytest.mark.slow
 @pytest.mark.compiled
-@pytest.mark.parametrize(
-    "options",
-    [
-        (),
-        ("path_message", "autoware_planning_msgs/Trajectory"),
-        ("pose_message", "tf", "motion_message", "geometry_msgs/TwistStamped"),
-        ("pose_message", "geometry_msgs/PoseStamped", "motion_message", "geometry_msgs/TwistStamped",
-         "drive_message", "autoware_control_msgs/Control"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("options", [
+    (),
+    ("path_message", "autoware_planning_msgs/Trajectory"),
+    ("pose_message", "tf", "motion_message", "geometry_msgs/TwistStamped"),
+    ("pose_message", "geometry_msgs/PoseStamped", "motion_message", "geometry_msgs/TwistStamped",
+     "drive_message", "autoware_control_msgs/Control"),
+])  # fmt: skip
 def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
     report = dict(
         line.split("=", 1) for line in cpp[0].run(str(cpp[0].node(folder)), *options).splitlines() if "=" in line

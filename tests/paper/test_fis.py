@@ -45,10 +45,9 @@ def predict(text, x):
     return weighted / total
 
 
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"membership": "bell"}, {"partition": "grid", "n_mfs": (2, 3, 1)}, {"influence": 0.3, "prune": 0.02}],
-)
+@pytest.mark.parametrize("options", [
+    {}, {"membership": "bell"}, {"partition": "grid", "n_mfs": (2, 3, 1)}, {"influence": 0.3, "prune": 0.02},
+])  # fmt: skip
 def test_a_file_means_by_the_equations_of_the_format_what_the_estimator_predicts(options, tmp_path):
     estimator, x = trained(**options)
     write_fis(estimator, tmp_path / "a.fis")

@@ -84,10 +84,9 @@ def test_it_steers_the_dual_track_through_their_double_lane_change():
     assert np.abs(run.error).max() < 0.02
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [("horizon", 0), ("horizon", 61), ("move_weights", (0.0, 1.0)), ("period", math.nan), ("stiffness", (0.0, 1.0))],
-)
+@pytest.mark.parametrize(("option", "value"), [
+    ("horizon", 0), ("horizon", 61), ("move_weights", (0.0, 1.0)), ("period", math.nan), ("stiffness", (0.0, 1.0)),
+])  # fmt: skip
 def test_nonsense_is_refused(option, value):
     with pytest.raises(at.InvalidInput, match=r"LPVMPC|period"):
         lpv_mpc.LPVMPC(CAR, **{option: value})
