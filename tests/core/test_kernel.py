@@ -15,6 +15,7 @@ from adaptrack.core.member import member
 from adaptrack.core.roads.road import foot_about
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.road import Arc, Line, Road
+from programs import run_program
 
 needs_compiled = pytest.mark.skipif(kernel.INTERPRETED, reason="needs compiled kernels")
 
@@ -195,11 +196,9 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
     (tmp_path / "adaptrack.h").write_bytes(header.read_bytes())
     (tmp_path / "main.c").write_text(C_PROGRAM.format(count=2, values=f"{low.hex()}, {high.hex()}"))
     command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-o", "program", "main.c"]
-    subprocess.run([*command, str(of_this_processor(built)), "-lm"], cwd=tmp_path, check=True)
-    process = subprocess.run(
-        ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
-    )
-    *sizes, place, answer, station = process.stdout.split()
+    run_program(*command, of_this_processor(built), "-lm", cwd=tmp_path)
+    printed = run_program("./program", cwd=tmp_path, env={"LD_LIBRARY_PATH": str(built)})
+    *sizes, place, answer, station = printed.split()
     expected = [8 * words(Mpc), 8 * words(RoadAheadRecord), 8 * words(MPCSettings), PLANT_STATE.vx]
     assert [int(word) for word in [*sizes, place]] == expected
     assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)

@@ -3,7 +3,6 @@
 import ctypes.util
 import math
 import pickle
-import subprocess
 import time
 
 import numpy as np
@@ -15,7 +14,7 @@ from adaptrack.core.kernel import INTERPRETED, float64, vector, void
 from adaptrack.core.member import member
 from adaptrack.core.plants.user import compile_plant
 from adaptrack.core.roads.road import RoadAheadRecord
-from programs import find_program
+from programs import run_program
 from small_cars import PARAMETERS, linear_car
 
 pytestmark = pytest.mark.skipif(INTERPRETED, reason="interpreted kernels call functions of one's own as they are")
@@ -124,8 +123,7 @@ def test_ctrl_c_in_a_function_that_is_called_back_is_heard(no_compiler):
 
 def test_a_plant_in_c_drives_as_ours_alone_and_in_a_batch(tmp_path, compiled):
     (tmp_path / "plant.c").write_text(C_PLANT)
-    command = [find_program("gcc"), "-O2", "-shared", "-fPIC", "-lm", "plant.c", "-o", "plant.so"]
-    subprocess.run(command, cwd=tmp_path, check=True)
+    run_program("gcc", "-O2", "-shared", "-fPIC", "-lm", "plant.c", "-o", "plant.so", cwd=tmp_path)
     function = at.CFunction(str(tmp_path / "plant.so"), "right_hand_side")
     plant = at.UserPlant(pickle.loads(pickle.dumps(function)), PARAMETERS, mass=1575.0)
     assert path_of(plant) == pytest.approx(compiled, rel=1e-9, abs=1e-12)

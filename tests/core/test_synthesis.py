@@ -2,7 +2,6 @@
 
 import math
 import random
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, laws, mpc, tuning
 from adaptrack.core.synthesis.learner import learner_memory
 from by_kernels import CASES, make_order
-from programs import find_program
+from programs import run_program
 
 SEDAN = at.load_vehicle("midsize-sedan")
 UNTOUCHED = -1234.5
@@ -366,14 +365,13 @@ def test_the_papers_mpc_has_the_numbers_of_its_table():
 @pytest.mark.compiled
 def test_a_program_in_c_makes_the_same_controller(tmp_path):
     """From mass and wheelbase alone, by the header's names; it is compiled against the library as it is."""
-    compiler = find_program("gcc")
     loaded = library.loaded()
     if not isinstance(loaded, library.Library) or loaded.edited:
         pytest.skip("needs the library of these sources")
     program = Path(__file__).parents[1] / "processors" / "make.c"
     files = f"-I{library.BUILT_FOLDER}", str(program), str(loaded.path), "-o", str(tmp_path / "make")
-    subprocess.run([compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm"], check=True)
-    subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
+    run_program("gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm")
+    run_program(str(tmp_path / "make"), tmp_path / "answers")
     answers = np.fromfile(tmp_path / "answers")
 
     controller = at.MPC(at.vehicle_from_data_sheet("mine", 1500.0, 2.7))

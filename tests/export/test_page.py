@@ -2,7 +2,6 @@
 
 import json
 import re
-import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -18,7 +17,7 @@ from adaptrack.export.page_setup import road_of
 from adaptrack.results.record import offset_scale
 from browsers import BROWSERS
 from pages import READY, STATE, differing, drive, export_page, open_page, serve
-from programs import find_program
+from programs import find_program, run_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
 
@@ -69,16 +68,15 @@ def test_files_of_a_script_share_no_name():
 
 
 def test_scripts_of_the_page_can_be_read():
-    node = find_program("node")
     pages = {path.name for path in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
     for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(pages)))):
-        subprocess.run([node, "--check", "-"], input=script, text=True, check=True)
+        run_program("node", "--check", "-", input=script)
         assert "</script" not in script
 
 
 def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
     """To a round number above the largest error of the cars that did not fail; above most errors where all failed."""
-    node, rng = find_program("node"), np.random.default_rng(4)
+    rng = np.random.default_rng(4)
     drives = [
         [(rng.exponential(scale) * rng.normal(size=200), failed) for failed in failures]
         for scale in (0.01, 0.05, 0.3, 4.0)
@@ -95,7 +93,6 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
         "for (const {columns} of drives.flat()) columns.error = Float64Array.from(columns.error);"
         "console.log(JSON.stringify(drives.map(topOf)));"
     )
-    process = subprocess.run([node, "-"], input=script, capture_output=True, text=True, check=True)
     expected = [
         offset_scale([
             SimpleNamespace(failure=failed or None, max_offset=size.max(), p95_offset=np.percentile(size, 95))
@@ -103,7 +100,7 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
         ])
         for drive in drives
     ]  # fmt: skip
-    assert json.loads(process.stdout) == pytest.approx(expected, rel=1e-9)
+    assert json.loads(run_program("node", "-", input=script)) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(("options", "message"), [

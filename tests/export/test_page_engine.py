@@ -3,7 +3,6 @@
 import functools
 import json
 import os
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
 from adaptrack.export.page_setup import simulate_setup
 from pages import differing
-from programs import find_program
+from programs import find_program, run_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
 DRIVER = Path(__file__).parents[1] / "processors" / "page.mjs"
@@ -54,10 +53,8 @@ def ask(tmp_path_factory):
     def answers(*messages):
         folder = tmp_path_factory.mktemp("answers")
         (folder / "requests").write_text(json.dumps(messages))
-        files = [str(home / name) for name in ("worker.js", "kernels.wasm", "data.json")]
-        process = subprocess.run(["node", str(DRIVER), *files, str(folder / "requests"), str(folder)],
-                              capture_output=True, text=True, timeout=300)  # fmt: skip
-        assert process.returncode == 0, process.stderr
+        files = [home / name for name in ("worker.js", "kernels.wasm", "data.json")]
+        run_program("node", DRIVER, *files, folder / "requests", folder, timeout=300)
         return [_answer(folder, k) for k in range(len(list(folder.glob("*.json"))))]
 
     return answers

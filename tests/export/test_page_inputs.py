@@ -4,7 +4,6 @@ import base64
 import json
 import math
 import random
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from adaptrack.core.roads import path
 from adaptrack.core.synthesis import car as cars
 from adaptrack.export.page_inputs import SECTIONS, car_fields, page_car
 from adaptrack.identification.reading import SIGNAL_COLUMNS, read_columns
-from programs import find_program
+from programs import run_program
 
 HERE, PAGE = Path(__file__).parents[1] / "page", Path(at.__file__).parent / "export" / "page"
 needs_node = pytest.mark.needs("node")
@@ -31,11 +30,8 @@ def ask(calls):
 
 
 def ask_all(asking):
-    process = subprocess.run(
-        [find_program("node"), str(HERE / "inputs.mjs"), str(PAGE / "inputs.js")], input=json.dumps(asking), text=True,
-        capture_output=True, timeout=60, check=True,
-    )  # fmt: skip
-    return json.loads(process.stdout)
+    text = run_program("node", HERE / "inputs.mjs", PAGE / "inputs.js", input=json.dumps(asking), timeout=60)
+    return json.loads(text)
 
 
 def points_of(text, **options):

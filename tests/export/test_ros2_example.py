@@ -12,7 +12,7 @@ import pytest
 
 import adaptrack as at
 import ros_messages
-from programs import find_program
+from programs import run_program
 from ros_messages import (
     PACKAGE,
     drive_stamped,
@@ -526,7 +526,6 @@ def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_hav
 @pytest.mark.compiled
 def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path):
     """With stand-ins of ament and of the packages that it finds."""
-    find_program("cmake")
     includes = ";".join(option.removeprefix("-I") for option in cpp[0].includes(folder)[2:])
     target = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
     target += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
@@ -543,8 +542,8 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
         folder, tmp_path / "package" / "controller", ignore=shutil.ignore_patterns("*.so", "*.o.d", "node*")
     )
     places = "-S", str(tmp_path / "package"), "-B", str(tmp_path / "build"), f"-DCMAKE_PREFIX_PATH={tmp_path}"
-    cpp[0].run("cmake", *places)
-    cpp[0].run("cmake", "--build", str(tmp_path / "build"))
+    run_program("cmake", *places)
+    run_program("cmake", "--build", str(tmp_path / "build"))
     assert (tmp_path / "build" / "follower").exists()
 
 
@@ -559,7 +558,7 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
 ])  # fmt: skip
 def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
     report = dict(
-        line.split("=", 1) for line in cpp[0].run(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
+        line.split("=", 1) for line in run_program(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
     )
     assert int(report["commands"]) == pytest.approx(80, abs=2)
     assert (report["frame"], report["level"], report["message"]) == ("base_link", "0", "following")

@@ -16,7 +16,7 @@ import signal
 import struct
 import subprocess
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -99,15 +99,25 @@ def _put(content: bytearray, kind: str, place: int, rng: np.random.Generator) ->
 
 
 # -- what drives ------------------------------------------------------------------------------------------------------
-class Library:
-    """An export, linked into a shared library of this process, with a path and what was measured along it."""
+def sources_of(folder: Path) -> list[Path]:
+    """The C sources of an export."""
+    return sorted((folder / "src").glob("*.c"))
 
-    def __init__(self, controller: Controller, folder: Path) -> None:
+
+class Library:
+    """An export, linked into a shared library of this process, with a path and what was measured along it.
+
+    parts: gives the C sources of the export's folder, or their objects.
+    """
+
+    def __init__(
+        self, controller: Controller, folder: Path, parts: Callable[[Path], Sequence[Path]] = sources_of
+    ) -> None:
         export_c(controller, folder)
         self.controller = controller
         self.constants = (folder / "constants.bin").read_bytes()
         program = folder / "tracker.so"
-        sources = [*sorted((folder / "src").glob("*.c")), folder / "main.c"]
+        sources = [*parts(folder), folder / "main.c"]
         includes = [f"-I{folder}/include", f"-I{folder}"]
         words = ["-shared", "-fPIC", "-O1", *EXACT_OPTIONS, *includes, *map(str, sources), "-o", str(program)]
         run = subprocess.run(["cc", *words], capture_output=True, text=True)
@@ -212,12 +222,15 @@ STRONG = (-37.0, 1e-3, 1e3)
 """Factors on a constant: one that changes no answer under any that is accepted is not read in this configuration."""
 
 
-def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
-    """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason."""
+def unnoticed(library: Library, every: int = 1) -> tuple[int, dict[str, str]]:
+    """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason.
+
+    every: look at every second (third, ...) number of the file alone.
+    """
     misses, count = {}, 0
     memory = tracking_memory(library.controller)
     numbers = [(f"{name} {number.name}", number) for name, part in memory.numbers.items() for number in part]
-    for word, (name, number) in enumerate(numbers, FILE_HEAD.size // 8):
+    for word, (name, number) in list(enumerate(numbers, FILE_HEAD.size // 8))[::every]:
         (value,) = struct.unpack_from("<d", memory.content, 8 * word)
         if number.bounds.rule == "EXACT" or value == 0.0 or not math.isfinite(value):
             continue
