@@ -27,7 +27,7 @@ from adaptrack.tuning.runs import operating_point_runs
 CAR = at.load_vehicle("paper")
 POINTS = [[10.0, 1.0, 0.9, 5.0], [20.0, -2.0, 0.6, -10.0]]
 SMALL = TuningEffort(
-    drives=2, hard_drives=1, seconds=5.0, swarm=SwarmSettings(particles=4, generations=2), unseen_drives=4,
+    drives=1, hard_drives=1, seconds=3.0, swarm=SwarmSettings(particles=3, generations=2), unseen_drives=4,
     levels=(3, 2),
 )  # fmt: skip
 
@@ -35,7 +35,7 @@ SMALL = TuningEffort(
 class Sliding(at.SteppedPlant):
     """The linear single-track car in plain Python, as an outside simulator would be."""
 
-    longest_step = 0.005
+    longest_step = 0.025
 
     def __init__(self, vehicle):
         self.car = vehicle
@@ -196,7 +196,7 @@ def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
 @pytest.fixture
 def tune_paper(monkeypatch, registered, tmp_path):
     """`adaptrack tune paper` with a short search."""
-    monkeypatch.setattr("adaptrack.tune", lambda *arguments, **options: at.tune(*arguments, effort=SMALL, **options))
+    monkeypatch.setattr("adaptrack.tune", partial(at.tune, effort=SMALL))
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["adaptrack", "tune", "paper", "--out", str(tmp_path / "out"), *arguments])

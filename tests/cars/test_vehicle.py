@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -340,6 +340,7 @@ class TestOwnFiles:
         monkeypatch.chdir("/")
         assert at.load_tyre(at.load_vehicle(path).tyre) == tyre()
 
+    @settings(max_examples=20)
     @given(vehicle=cars, text=st.text(max_size=20))
     def test_any_vehicle_reads_back_equal_to_the_last_bit(self, vehicle, text, tmp_path_factory):
         path = tmp_path_factory.mktemp("any") / "any.toml"

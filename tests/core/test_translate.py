@@ -65,17 +65,23 @@ def test_a_kernel_beyond_the_subset_is_refused_with_its_line_and_a_remedy(tmp_pa
     assert remedy in str(refusal.value)
 
 
-def test_every_exported_kernel_translates_and_twice_to_the_same_text():
-    kernels = kernels_of()
-    first, second = (c_files.c_files(kernels) for _ in range(2))
-    assert {name: file.text for name, file in first.items()} == {name: file.text for name, file in second.items()}
-    assert len(first) == len({Path(kernel.function.__code__.co_filename).parent for kernel in kernels.values()})
+@pytest.fixture(scope="module")
+def files():
+    """All exported kernels as files of C."""
+    return c_files.c_files(kernels_of())
 
 
-def test_a_file_depends_on_no_other_file():
+def test_every_exported_kernel_translates_and_twice_to_the_same_text(files):
     kernels = kernels_of()
-    alone = {name: kernel for name, kernel in kernels.items() if c_files.room_of(kernel) == "qp"}
-    assert c_files.c_files(alone)["qp"].text == c_files.c_files(kernels)["qp"].text
+    assert {name: file.text for name, file in c_files.c_files(kernels).items()} == {
+        name: file.text for name, file in files.items()
+    }
+    assert len(files) == len({Path(kernel.function.__code__.co_filename).parent for kernel in kernels.values()})
+
+
+def test_a_file_depends_on_no_other_file(files):
+    alone = {name: kernel for name, kernel in kernels_of().items() if c_files.room_of(kernel) == "qp"}
+    assert c_files.c_files(alone)["qp"].text == files["qp"].text
 
 
 def test_a_record_in_its_place_or_a_new_one_is_a_value(tmp_path):

@@ -199,13 +199,13 @@ def is_allowed(number, value):
     )
 
 
-@pytest.mark.parametrize("name", ["informed", "learning", "nn", "lqr"])
-def test_numbers_out_of_bounds_are_refused_under_a_right_checksum(name, library_of, way):
+@pytest.mark.parametrize(("name", "every"), [("informed", 1), ("learning", 1), ("nn", 4), ("lqr", 1)])
+def test_numbers_out_of_bounds_are_refused_under_a_right_checksum(name, every, library_of, way):
     export = library_of(name)
     memory, driving, fresh = tracking_memory(export.controller), start_tracker(export, way), CTracker(export)
     before, first = driving.raw.copy(), FILE_HEAD.size // 8
     numbers = [number for part in memory.numbers.values() for number in part]
-    for word, number in enumerate(numbers[:300], first):
+    for word, number in list(enumerate(numbers[:300], first))[::every]:
         for value in (math.nan, 1e300, -1e300, 5e-324):
             if is_allowed(number, value):
                 continue

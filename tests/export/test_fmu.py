@@ -519,7 +519,7 @@ def test_a_compiler_of_the_user_makes_the_binary_as_the_fmu_describes(folder, tm
     (described,) = ET.parse(tmp_path / "sources/buildDescription.xml").iter("SourceFileSet")
     sources = [str(tmp_path / "sources" / file.get("name")) for file in described]
     assert described.get("compilerOptions").split() == list(EXACT_OPTIONS)
-    options = ["-std=c99", "-O1", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Werror"]
+    options = ["-std=c99", "-O0", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Werror"]
     run_program("gcc", *options, "-shared", "-fPIC", *sources, "-o", tmp_path / "car.so")
 
 
