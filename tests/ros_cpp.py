@@ -20,7 +20,7 @@ HEADERS = (
     "ackermann_msgs/msg/ackermann_drive_stamped", "diagnostic_msgs/msg/diagnostic_array",
     "autoware_planning_msgs/msg/trajectory",
 )  # fmt: skip
-STRICT = ("-std=c++17", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 LIMITS = (
     "top_speed", "acceleration", "stop_deceleration", "longest_silence", "furthest", "base_ahead", "stop_at_end",
 )  # fmt: skip
@@ -45,11 +45,11 @@ def includes(folder):
 
 
 @cache
-def shim(folder, *options, speed_control=False):
+def shim(folder, speed_control=False):
     """The logic as a library."""
-    file = folder / "follower.so"
+    file, level = folder / "follower.so", "-O0" if speed_control else "-O1"  # once with an optimiser's warnings
     sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp", *controller(folder, speed_control)
-    run_program("g++", *(options or STRICT), "-shared", "-fPIC", *includes(folder), *sources, "-o", file)
+    run_program("g++", *STRICT, level, "-shared", "-fPIC", *includes(folder), *sources, "-o", file)
     library = ctypes.CDLL(str(file))
     library.ros_make.restype = ctypes.c_void_p
     return library
@@ -60,7 +60,7 @@ def node(folder):
     """The node as a program, on stand-ins."""
     parts, library = controller(folder), folder / "node"
     with_all = "-DADAPTRACK_WITH_TRAJECTORY", "-DADAPTRACK_WITH_CONTROL", "-Dmain=node_main"
-    options = [*STRICT[:1], "-O0", *STRICT[2:], *with_all, *includes(folder)]
+    options = [*STRICT, "-O0", *with_all, *includes(folder)]
     run_program("g++", *options, "-c", CPP / "src" / "follower_node.cpp", "-o", folder / "node.o")
     options.remove("-Dmain=node_main")
     sources = CPP / "src" / "follower.cpp", STAND_INS / "drive.cpp", folder / "node.o"
