@@ -18,6 +18,14 @@ def bend(**along):
     )
 
 
+def blank_columns(n):
+    """All columns of a trajectory of so many instants, zero."""
+    return {
+        column.name: np.zeros((n, len(column.parts)) if column.parts else n, column.dtype)
+        for column in TRAJECTORY_COLUMNS
+    }
+
+
 def made_run(road=None, *, controller="informed", amplitude=0.3, seconds=None, predicted=None, **changes):
     """A run at 10 m/s, `amplitude` sin(s/10) from the centre line (m); `changes` replace fields of the trajectory."""
     road = road or bend()
@@ -27,10 +35,7 @@ def made_run(road=None, *, controller="informed", amplitude=0.3, seconds=None, p
     place, offset = road.at(s), amplitude * np.sin(s / 10.0)
     turned = np.arctan2(0.1 * amplitude * np.cos(s / 10.0), 1.0 - place.curvature * offset)
     wheels = np.arctan(car.wheelbase * place.curvature)
-    values = {
-        column.name: np.zeros((s.size, len(column.parts)) if column.parts else s.size, column.dtype)
-        for column in TRAJECTORY_COLUMNS
-    } | {
+    values = blank_columns(s.size) | {
         "t": time, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
         "psi": place.heading + turned, "vx": np.full(s.size, SPEED), "v_ref": np.full(s.size, SPEED),
         "steering": wheels, "command": wheels, "lateral_acceleration": SPEED**2 * place.curvature,

@@ -39,6 +39,14 @@ def body_of(tmp_path, text, signature):
 
 
 NUMBER = kernel.float64(kernel.float64)
+TAKE = """
+@inlined
+def take(v):
+    v[0] += 1.0
+    return v[0]
+
+def f(v):
+    return """
 VECTOR = kernel.float64(kernel.vector)
 
 
@@ -98,34 +106,10 @@ def test_a_record_in_its_place_or_a_new_one_is_a_value(tmp_path):
 
 
 def test_an_operand_that_writes_is_computed_in_its_turn(tmp_path):
-    text = body_of(
-        tmp_path,
-        """
-        @inlined
-        def take(v):
-            v[0] += 1.0
-            return v[0]
-
-        def f(v):
-            return v[0] + take(v)
-        """,
-        VECTOR,
-    )
+    text = body_of(tmp_path, TAKE + "v[0] + take(v)", VECTOR)
     assert "const double t1 = v.data[0];" in text
     with pytest.raises(KernelError, match="assign it to a variable first"):
-        body_of(
-            tmp_path,
-            """
-            @inlined
-            def take(v):
-                v[0] += 1.0
-                return v[0]
-
-            def f(v):
-                return 1.0 if v[0] > 0.0 and v[0] + take(v) > 1.0 else 0.0
-            """,
-            VECTOR,
-        )
+        body_of(tmp_path, TAKE + "1.0 if v[0] > 0.0 and v[0] + take(v) > 1.0 else 0.0", VECTOR)
 
 
 def test_sizes_are_those_of_the_array_when_they_are_asked_for(tmp_path):

@@ -15,8 +15,8 @@ from adaptrack.drive.failure import Reason, find_failure
 from adaptrack.drive.metrics import published_mse
 from adaptrack.drive.prediction import prediction_error, run_prediction_error
 from adaptrack.drive.signal_statistics import r79, r79_signals, reversal_rate
-from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS
 from adaptrack.road import Arc, Line
+from made_drives import blank_columns
 
 NAN, INF = float("nan"), float("inf")
 BOX = Outline(front=2.0, rear=2.5, width=1.8)
@@ -25,11 +25,7 @@ T = np.arange(0.0, 60.0, 0.05)
 
 def record(n=8, period=0.1, **changes):
     """A car at 10 m/s on a straight reference, nothing measured; `changes` replace arrays (scalars fill them)."""
-    arrays = {}
-    for column in TRAJECTORY_COLUMNS:
-        shape = (n, len(column.parts)) if column.parts else (n,)
-        arrays[column.name] = np.zeros(shape, dtype=column.dtype)
-    arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "step_time": np.full(n, NAN)}
+    arrays = blank_columns(n) | {"t": period * np.arange(n), "vx": np.full(n, 10.0), "step_time": np.full(n, NAN)}
     zeros = np.zeros(n, np.int64)
     diagnostics = {"qp_status": zeros, "qp_iterations": zeros, "qp_residual": np.zeros(n), "at_limit": zeros}
     diagnostics |= {key: np.broadcast_to(value, (n,)) for key, value in changes.items() if key in diagnostics}

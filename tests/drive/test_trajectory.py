@@ -14,15 +14,12 @@ from hypothesis import strategies as st
 import adaptrack as at
 from adaptrack import __version__
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, provenance
+from made_drives import blank_columns
 
 
 def record(n=8, period=0.1, **changes):
     """A car that stands on its reference; `changes` replace arrays."""
-    arrays = {}
-    for column in TRAJECTORY_COLUMNS:
-        shape = (n, len(column.parts)) if column.parts else (n,)
-        arrays[column.name] = np.zeros(shape, dtype=column.dtype)
-    arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
+    arrays = blank_columns(n) | {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
     return at.Trajectory(**(arrays | {"period": period} | named(n) | changes))
 
 
