@@ -50,8 +50,8 @@ CONTROLLERS = {
     "stanley": lambda: at.Stanley(CAR), "pure-pursuit": lambda: at.PurePursuit(CAR),
 }  # fmt: skip
 
-LEVELS = {"informed": "-O1"}
-"""Optimisation: the one that is driven for minutes; -O0 compiles four times as fast."""
+SHARED = "informed", "learning", "production"
+"""Controllers whose exports have the same sources."""
 EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "3000"))
 """Calls of each controller in the long comparisons."""
 
@@ -91,7 +91,7 @@ def library_of(folder, way):
             place = folder / f"{len(libraries)}-{name}"
             controller = CONTROLLERS[name]()
             at.export_c(controller, place, road=way[0], plan=way[1], **options)
-            libraries[key] = Exported(place, controller, LEVELS.get(name, "-O0"))
+            libraries[key] = Exported(place, controller, "-O1" if name in SHARED else "-O0")
         return libraries[key]
 
     return make
@@ -230,8 +230,7 @@ def test_a_tracker_begins_with_the_numbers_of_python(library_of):
 @pytest.fixture(scope="module")
 def fuzzed(folder):
     """Exports as the tool for constants drives them, by name; each is export once."""
-    compile_fuzzed = functools.partial(exported.compile_export, level="-O1")
-    return functools.cache(lambda name: Library(FUZZED[name](), folder / f"fuzzed-{name}", compile_fuzzed))
+    return functools.cache(lambda name: Library(FUZZED[name](), folder / f"fuzzed-{name}", exported.compile_export))
 
 
 def test_constants_changed_at_random_under_a_right_checksum_neither_crash_nor_hang(fuzzed):
@@ -356,7 +355,7 @@ def test_the_library_asks_for_memory_functions_alone_and_writes_nothing_static(l
     symbols = {line.split()[-1] for line in run_program("nm", "-u", library.folder / "tracker.so").splitlines()}
     symbols = {symbol.split("@")[0] for symbol in symbols if not symbol.startswith(("__cxa", "_ITM", "__gmon"))}
     assert symbols <= {"memcpy", "memmove", "memset"}  # which compilers call by themselves
-    for part in exported.compile_export(library.folder):
+    for part in exported.compile_export(library.folder, library.level):
         sizes = run_program("size", "-A", part).splitlines()
         assert all(line.split()[1] == "0" for line in sizes if line.startswith((".data ", ".bss ")))
 

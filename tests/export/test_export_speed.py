@@ -30,8 +30,6 @@ CONTROLS = {
     "informed": SpeedControl(CAR, (0.3, 0.9)), "learning": SpeedControl(CAR, (0.4, 1.0)),
     "pure-pursuit": SpeedControl(CAR, (0.5, 0.9)), "certain": SpeedControl(CAR, 0.5),
 }  # fmt: skip
-LEVELS = {"informed": "-O1"}
-"""Optimisation: one of all sources, with the warnings that it brings; -O0 compiles four times as fast."""
 PERIOD = 0.05
 DRIVES = max(1, int(os.environ.get("ADAPTRACK_TEST_STEPS", "1000")) // 1000)
 PATH = road_through(POINTS).replace(grade=((0.0, 60.0, 120.0, 200.0), (0.0, 0.06, -0.08, 0.02)), bank=((0.0,), (0.03,)))
@@ -102,7 +100,7 @@ def library(request, tmp_path_factory):
         "certain": lambda: at.MPC(CAR, profile="road"),
     }[request.param]()
     export_c(controller, folder, road=PATH, plan=PLAN, speed=CONTROLS[request.param])
-    exported_library = Exported(folder, controller, LEVELS.get(request.param, "-O0"))
+    exported_library = Exported(folder, controller, "-O0" if request.param == "pure-pursuit" else "-O1")
     exported_library.control = CONTROLS[request.param]
     return exported_library
 
