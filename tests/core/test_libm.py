@@ -53,8 +53,8 @@ def test_no_function_is_off_by_more_than_a_unit_in_the_last_place(name, kind, rn
     if INTERPRETED and kind == "right angles":
         pytest.skip("the interpreter's multiply-add rounds twice: near a zero of sine nothing is left")
     function = FUNCTIONS[name]
-    error, at = elementary.worst(function, ENTRIES[name], function.arguments[kind](rng, 70))
-    assert error <= ULPS, at
+    error, worst = elementary.worst(function, ENTRIES[name], function.arguments[kind](rng, 70))
+    assert error <= ULPS, worst
 
 
 @pytest.mark.slow
@@ -62,8 +62,8 @@ def test_no_function_is_off_by_more_than_a_unit_in_the_last_place(name, kind, rn
 @pytest.mark.parametrize(("name", "kind"), CLASSES)
 def test_no_function_is_off_by_more_than_nine_tenths_of_a_unit_among_many_arguments(name, kind, rng):
     function = FUNCTIONS[name]
-    error, at = elementary.worst(function, ENTRIES[name], function.arguments[kind](rng, 20000))
-    assert error <= 0.9, at
+    error, worst = elementary.worst(function, ENTRIES[name], function.arguments[kind](rng, 20000))
+    assert error <= 0.9, worst
 
 
 PI = math.pi
