@@ -59,10 +59,10 @@ def text_with_headers(source, folder):
     return "\0".join(texts)
 
 
-def compile_export(folder, level="-O1"):
+def compile_export(folder, level="-Og"):
     """The objects of an export's C sources; what exports of this session have in common is compiled once.
 
-    level: -O0 compiles four times as fast, for sources that no other export has. Those of all informed MPCs are the
+    level: -O0 compiles twice as fast, for sources that no other export has. Those of all informed MPCs are the
     same, and so are those with a speed control.
     """
     options = [*STRICT, level, *EXACT_OPTIONS, "-fPIC", f"-I{folder}/include"]
@@ -78,7 +78,7 @@ def compile_export(folder, level="-O1"):
     return objects
 
 
-def link_export(folder, level="-O1"):
+def link_export(folder, level="-Og"):
     """A shared library of an export."""
     library = folder / "tracker.so"
     run_program("gcc", "-shared", *compile_export(folder, level), "-o", library)
@@ -98,7 +98,7 @@ def run_cpp(export, text, place):
 class Exported:
     """An export, linked into a shared library."""
 
-    def __init__(self, folder, controller, level="-O1"):
+    def __init__(self, folder, controller, level="-Og"):
         self.folder, self.controller, self.level = folder, controller, level
         self.c = ctypes.CDLL(str(link_export(folder, level)))
         for name in ("size", "path_size", "state_size"):

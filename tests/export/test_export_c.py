@@ -91,7 +91,7 @@ def library_of(folder, way):
             place = folder / f"{len(libraries)}-{name}"
             controller = CONTROLLERS[name]()
             at.export_c(controller, place, road=way[0], plan=way[1], **options)
-            libraries[key] = Exported(place, controller, "-O1" if name in SHARED else "-O0")
+            libraries[key] = Exported(place, controller, "-Og" if name in SHARED else "-O0")
         return libraries[key]
 
     return make

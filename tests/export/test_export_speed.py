@@ -100,7 +100,7 @@ def library(request, tmp_path_factory):
         "certain": lambda: at.MPC(CAR, profile="road"),
     }[request.param]()
     export_c(controller, folder, road=PATH, plan=PLAN, speed=CONTROLS[request.param])
-    exported_library = Exported(folder, controller, "-O0" if request.param == "pure-pursuit" else "-O1")
+    exported_library = Exported(folder, controller, "-O0" if request.param == "pure-pursuit" else "-Og")
     exported_library.control = CONTROLS[request.param]
     return exported_library
 
