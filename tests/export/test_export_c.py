@@ -238,7 +238,7 @@ def test_constants_changed_at_random_under_a_right_checksum_neither_crash_nor_ha
 
 
 @pytest.mark.parametrize(("name", "every"), [
-    ("informed", 3), ("stanley", 1),
+    ("informed", 5), ("stanley", 1),
     pytest.param("informed", 1, marks=pytest.mark.slow), pytest.param("learning", 1, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_the_recorded_minute_notices_eight_of_ten_constants_that_are_read(name, every, fuzzed):
