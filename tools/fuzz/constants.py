@@ -16,7 +16,7 @@ import signal
 import struct
 import subprocess
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -99,25 +99,19 @@ def _put(content: bytearray, kind: str, place: int, rng: np.random.Generator) ->
 
 
 # -- what drives ------------------------------------------------------------------------------------------------------
-def sources_of(folder: Path) -> list[Path]:
-    """The C sources of an export."""
-    return sorted((folder / "src").glob("*.c"))
-
-
 class Library:
     """An export, linked into a shared library of this process, with a path and what was measured along it.
 
-    parts: gives the C sources of the export's folder, or their objects.
+    compiled: gives the objects of the C sources in a folder; without it they are compiled here.
     """
 
-    def __init__(
-        self, controller: Controller, folder: Path, parts: Callable[[Path], Sequence[Path]] = sources_of
-    ) -> None:
+    def __init__(self, controller: Controller, folder: Path, compiled: Callable[[Path], Any] | None = None) -> None:
         export_c(controller, folder)
         self.controller = controller
         self.constants = (folder / "constants.bin").read_bytes()
         program = folder / "tracker.so"
-        sources = [*parts(folder), folder / "main.c"]
+        parts = sorted((folder / "src").glob("*.c")) if compiled is None else compiled(folder)
+        sources = [*parts, folder / "main.c"]
         includes = [f"-I{folder}/include", f"-I{folder}"]
         words = ["-shared", "-fPIC", "-O1", *EXACT_OPTIONS, *includes, *map(str, sources), "-o", str(program)]
         run = subprocess.run(["cc", *words], capture_output=True, text=True)
@@ -223,10 +217,7 @@ STRONG = (-37.0, 1e-3, 1e3)
 
 
 def unnoticed(library: Library, every: int = 1) -> tuple[int, dict[str, str]]:
-    """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason.
-
-    every: look at every second (third, ...) number of the file alone.
-    """
+    """Check every so many constants: how many, and those that may change by 1 % unnoticed, each with the reason."""
     misses, count = {}, 0
     memory = tracking_memory(library.controller)
     numbers = [(f"{name} {number.name}", number) for name, part in memory.numbers.items() for number in part]
