@@ -5,15 +5,15 @@ import hashlib
 import math
 import os
 import re
+import shutil
 import struct
-import subprocess
 import zlib
 
 import numpy as np
 
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
-from programs import find_program
+from programs import run_program
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
 (OK, BAD_ARGUMENT, TOO_SMALL, NOT_READY, BUSY, DAMAGED, OTHER_VERSION, OTHER_KIND, OTHER_SIZES, OTHER_CONSTANTS,
@@ -59,38 +59,59 @@ def text_with_headers(source, folder):
     return "\0".join(texts)
 
 
-def compile_export(folder):
-    """The objects of an export's C sources; what exports of this session have in common is compiled once."""
-    command = [find_program("gcc"), *STRICT, "-O0", *EXACT_OPTIONS, "-fPIC", f"-I{folder}/include"]
+def compile_export(folder, level="-Og"):
+    """The objects of an export's C sources; what exports of this session have in common is compiled once.
+
+    level: -O0 compiles twice as fast, for sources that no other export has. Those of all informed MPCs are the
+    same, and so are those with a speed control.
+    """
+    options = [*STRICT, level, *EXACT_OPTIONS, "-fPIC", f"-I{folder}/include"]
     session = next((parent for parent in folder.parents if re.fullmatch(r"pytest-\d+", parent.name)), folder)
     objects = []
     for source in sorted((folder / "src").glob("*.c")):
         text = text_with_headers(source, (folder / "src", folder / "include"))
-        objects.append(session / f"{hashlib.sha256(text.encode()).hexdigest()}.o")
+        objects.append(session / f"{hashlib.sha256((level + text).encode()).hexdigest()}.o")
         if not objects[-1].exists():
             part = folder / f"{source.stem}.o"
-            process = subprocess.run([*command, "-c", source, "-o", part], capture_output=True, text=True)
-            assert process.returncode == 0, process.stderr
+            run_program("gcc", *options, "-c", source, "-o", part)
             os.replace(part, objects[-1])  # other processes compile it, too
     return objects
 
 
-def link_export(folder):
+def link_export(folder, level="-Og"):
     """A shared library of an export."""
     library = folder / "tracker.so"
-    subprocess.run([find_program("gcc"), "-shared", *compile_export(folder), "-o", library], check=True)
+    run_program("gcc", "-shared", *compile_export(folder, level), "-o", library)
     return library
+
+
+def run_cpp(export, text, place):
+    """Compile a program of C++ with the library of an export, without exceptions, and run it."""
+    (place / "drive.cpp").write_text(text)
+    export.make("lib")
+    options = ["-std=c++17", "-fno-exceptions", "-fno-rtti", *STRICT[1:], f"-I{export.folder}/include"]
+    archive = export.folder / "build" / "libadaptrack.a"
+    run_program("g++", *options, place / "drive.cpp", archive, "-o", place / "drive")
+    run_program(str(place / "drive"))
 
 
 class Exported:
     """An export, linked into a shared library."""
 
-    def __init__(self, folder, controller):
-        self.folder, self.controller = folder, controller
-        self.c = ctypes.CDLL(str(link_export(folder)))
+    def __init__(self, folder, controller, level="-Og"):
+        self.folder, self.controller, self.level = folder, controller, level
+        self.c = ctypes.CDLL(str(link_export(folder, level)))
         for name in ("size", "path_size", "state_size"):
             getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
         self.constants = (folder / "constants.bin").read_bytes()
+
+    def make(self, *words):
+        """Run `make` in the folder; the objects of its sources are there."""
+        (self.folder / "build").mkdir(exist_ok=True)
+        sources = sorted((self.folder / "src").glob("*.c"))
+        for source, part in zip(sources, compile_export(self.folder, self.level), strict=True):
+            shutil.copy(part, self.folder / "build" / f"{source.stem}.o")
+        return run_program("make", "-C", self.folder, *words, f"CFLAGS={self.level} -Werror")
 
     def path(self, points, closed=False):
         return CPath(self.c, points, closed)

@@ -11,12 +11,17 @@ from adaptrack.road import Arc, Line, Road
 SPEED, PERIOD = 10.0, 0.05
 
 
+def blank_columns(n):
+    """All columns of a trajectory of so many instants, zero."""
+    return {
+        column.name: np.zeros((n, len(column.parts)) if column.parts else n, column.dtype)
+        for column in TRAJECTORY_COLUMNS
+    }
+
+
 def trajectory(columns, **fields):
     """A trajectory of these columns, all others 0, and of these other fields."""
-    n = columns["t"].size
-    zeros = {column.name: np.zeros((n, len(column.parts)) if column.parts else n, column.dtype)
-             for column in TRAJECTORY_COLUMNS}  # fmt: skip
-    return Trajectory(**(zeros | columns | fields))
+    return Trajectory(**(blank_columns(columns["t"].size) | columns | fields))
 
 
 def bend(**along):

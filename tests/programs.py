@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from typing import Any
 
 import pytest
 
@@ -32,6 +33,13 @@ TASKS = {
     ),
 }  # fmt: skip
 """Arguments and standard input of a small task, by program or by the end of its name; otherwise `--version`."""
+
+EMULATORS = {
+    "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
+    "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64", "-L", "/usr/riscv64-linux-gnu"),
+    "windows": ("x86_64-w64-mingw32-gcc", "wine64"),
+}
+"""The compiler for a processor or system, and the command that runs its programs here."""
 
 
 @functools.cache
@@ -58,3 +66,11 @@ def find_program(name: str) -> str:
     if reason:
         pytest.skip(reason)
     return path
+
+
+def run_program(name: str, *arguments: object, **options: Any) -> str:
+    """What a program prints that must succeed; the test is skipped where it does not work, or is not there."""
+    path = name if os.path.dirname(name) else find_program(name)
+    process = subprocess.run([path, *map(str, arguments)], capture_output=True, text=True, check=False, **options)
+    assert process.returncode == 0, f"{name} ended with {process.returncode}:\n{process.stdout}{process.stderr}"
+    return process.stdout

@@ -1,14 +1,13 @@
 """The C++ node of the ROS 2 example without ROS: its logic behind the interface of the Python one, its shell too."""
 
 import ctypes
-import subprocess
 from functools import cache
 
 import numpy as np
 
 import adaptrack as at
 from exported import compile_export
-from programs import find_program
+from programs import find_program, run_program
 from ros_messages import PACKAGE, package_module
 
 follower, seconds = package_module("follower"), package_module("messages").seconds
@@ -21,16 +20,10 @@ HEADERS = (
     "ackermann_msgs/msg/ackermann_drive_stamped", "diagnostic_msgs/msg/diagnostic_array",
     "autoware_planning_msgs/msg/trajectory",
 )  # fmt: skip
-STRICT = ("-std=c++17", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 LIMITS = (
     "top_speed", "acceleration", "stop_deceleration", "longest_silence", "furthest", "base_ahead", "stop_at_end",
 )  # fmt: skip
-
-
-def run(*command):
-    process = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert process.returncode == 0, process.stderr
-    return process.stdout
 
 
 @cache
@@ -52,12 +45,12 @@ def includes(folder):
 
 
 @cache
-def shim(folder, *options, speed_control=False):
+def shim(folder, speed_control=False):
     """The logic as a library."""
-    parts, shared_object = controller(folder, speed_control), folder / "follower.so"
-    sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp"
-    run("g++", *(options or STRICT), "-shared", "-fPIC", *includes(folder), *sources, *parts, "-o", shared_object)
-    library = ctypes.CDLL(str(shared_object))
+    file, level = folder / "follower.so", "-O0" if speed_control else "-O1"  # once with an optimiser's warnings
+    sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp", *controller(folder, speed_control)
+    run_program("g++", *STRICT, level, "-shared", "-fPIC", *includes(folder), *sources, "-o", file)
+    library = ctypes.CDLL(str(file))
     library.ros_make.restype = ctypes.c_void_p
     return library
 
@@ -67,11 +60,11 @@ def node(folder):
     """The node as a program, on stand-ins."""
     parts, library = controller(folder), folder / "node"
     with_all = "-DADAPTRACK_WITH_TRAJECTORY", "-DADAPTRACK_WITH_CONTROL", "-Dmain=node_main"
-    options = [*STRICT[:1], "-O0", *STRICT[2:], *with_all, *includes(folder)]
-    run("g++", *options, "-c", CPP / "src" / "follower_node.cpp", "-o", folder / "node.o")
+    options = [*STRICT, "-O0", *with_all, *includes(folder)]
+    run_program("g++", *options, "-c", CPP / "src" / "follower_node.cpp", "-o", folder / "node.o")
     options.remove("-Dmain=node_main")
     sources = CPP / "src" / "follower.cpp", STAND_INS / "drive.cpp", folder / "node.o"
-    run("g++", *options, *sources, *parts, "-o", library)
+    run_program("g++", *options, *sources, *parts, "-o", library)
     return library
 
 

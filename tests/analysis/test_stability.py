@@ -23,18 +23,12 @@ from adaptrack.analysis.linearisation import (
     steady_turn,
 )
 from adaptrack.analysis.stability import hard_turn, loop_map, loops, margins, modulus_margin, radii, spectral_radius
-from adaptrack.cars.plant import SteppedPlant
-from adaptrack.control.kalman import KalmanFilter, SensorNoise
-from adaptrack.control.models import PathModel
-from adaptrack.drive.failure import FailureLimits
-from adaptrack.drive.simulate import rollout
-from adaptrack.scenario import Scenario, Wind
-from adaptrack.scenario.profile import load_profile
+from adaptrack.scenario import Wind
 from adaptrack.tuning.runs import RunSet
 
 pytestmark = pytest.mark.compiled
 CAR = at.load_vehicle("paper")
-PAPER, ROAD = load_profile("paper"), load_profile("road")
+PAPER, ROAD = at.load_profile("paper"), at.load_profile("road")
 QUIET = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 PLANT, ROAD_MPC = at.DualTrack(CAR, "magic-formula"), at.published_mpc(CAR, period=0.05)
 INFORMED = at.MPC(CAR, profile="road")
@@ -64,11 +58,13 @@ def some_tunings(seed, n):
 def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, ages, speed):
     """Whether it dies or grows: so it does at the rate of the spectral radius."""
     offset = 1e-7
-    scenario = Scenario(
+    scenario = at.Scenario(
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
     mpc = at.published_mpc(CAR, at.Tuning(*tuning), period=0.05)
-    run = rollout(PLANT, mpc, scenario, profile=QUIET.replace(**ages), failure=FailureLimits(math.inf, math.inf)).Y
+    run = at.rollout(
+        PLANT, mpc, scenario, profile=QUIET.replace(**ages), failure=at.FailureLimits(math.inf, math.inf)
+    ).Y
     law = laws(mpc, speed, tuning)
     body, prompt = (sampled(PLANT, 0.05, speed, friction=0.75, profile=p) for p in (ROAD.replace(**ages), ROAD))
     matrix, size = loops(body, law)[0], len(prompt.b)
@@ -157,7 +153,7 @@ def test_in_a_turn_tyres_are_softer_and_an_aggressive_loop_becomes_unstable():
 
 
 def test_the_relaxation_of_its_tyres_makes_the_vans_loop_unstable_unless_the_model_contains_it():
-    van, profile = at.load_vehicle("van"), load_profile("production").without_sample_ages
+    van, profile = at.load_vehicle("van"), at.load_profile("production").without_sample_ages
     plant, mpc = at.DualTrack(van), at.MPC(van, profile=profile)
     relaxation = mpc.model.dead_time - profile.dead_time
     unaware = at.MPC(
@@ -193,7 +189,7 @@ def test_a_mode_that_never_reaches_what_is_measured_does_not_count():
     assert spectral_radius(plant, at.published_mpc(CAR, at.Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
 
 
-class Stepped(SteppedPlant):
+class Stepped(at.SteppedPlant):
     def reset(self, motion):
         self.motion = motion
 
@@ -211,7 +207,10 @@ def test_what_has_no_linear_loop_is_refused():
     ):
         spectral_radius(PLANT, INFORMED, 15.0, profile="production")
     feels = at.MPC(
-        CAR, period=0.05, model=PathModel(CAR, 0.05, 0.1), estimator=KalmanFilter(SensorNoise(wheel_angle=0.01))
+        CAR,
+        period=0.05,
+        model=at.PathModel(CAR, 0.05, 0.1),
+        estimator=at.KalmanFilter(at.SensorNoise(wheel_angle=0.01)),
     )
     with pytest.raises(at.InvalidInput, match="reads wheel_angle"):
         spectral_radius(PLANT, feels, 15.0, profile="paper")
@@ -290,7 +289,7 @@ def test_a_fractional_delay_is_what_commands_do_that_change_within_the_period(pr
 
 
 # -- the controller that knows its car --------------------------------------------------------------------------------
-ROAD_SENSORS, WITHOUT_VY = SensorNoise(), SensorNoise(vy=math.inf, yaw_rate=0.002, wheel_angle=0.002)
+ROAD_SENSORS, WITHOUT_VY = at.SensorNoise(), at.SensorNoise(vy=math.inf, yaw_rate=0.002, wheel_angle=0.002)
 
 
 def sensed_row(measured):
@@ -299,9 +298,9 @@ def sensed_row(measured):
 
 
 def informed_mpc(lag=0.15, dead_time=0.05, noise=ROAD_SENSORS, moves=None):
-    model = PathModel(CAR, 0.05, lag, dead_time)
+    model = at.PathModel(CAR, 0.05, lag, dead_time)
     return at.MPC(
-        CAR, at.Tuning(25, 6, 1.0, 4.0), period=0.05, model=model, estimator=KalmanFilter(noise, settling=math.inf),
+        CAR, at.Tuning(25, 6, 1.0, 4.0), period=0.05, model=model, estimator=at.KalmanFilter(noise, settling=math.inf),
         moves=moves,
     )  # fmt: skip
 
@@ -356,7 +355,7 @@ def test_no_loop_that_is_certified_stable_grows_in_the_simulator(name, by):
         body = by.sampled(PLANT, 0.05, v, friction=mu, profile=QUIET)
         radius[i] = radii(loops(body, laws(mpc, v, tunings[i])))[0]
         quiet = {"reference": 0.0, "wind": Wind(y=0.0), "start_y": 1e-6}
-        runs.append(Scenario(name="small", duration=0.2 * quarter, speed=v, friction=mu, **quiet))
+        runs.append(at.Scenario(name="small", duration=0.2 * quarter, speed=v, friction=mu, **quiet))
     cost = RunSet(car, mpc, runs, world, segment=quarter).segments(tunings, 0, np.arange(n))[:, :4]
     size = np.sqrt(np.where(np.isfinite(cost), cost, np.inf) / quarter)
     grew = (size[:, 3] > 1e-4) | ((size[:, 3] > size[:, 2]) & (size[:, 3] > 1e-15))
@@ -459,6 +458,6 @@ def test_the_released_configuration_reproduces_the_replica(name):
     moves, general, lane_change = REPLICA[name]
     plant, mpc = at.SingleTrack(CAR, "constant-stiffness"), at.published_mpc(CAR, moves=moves)
     for scenario, expected in (("general-trajectory", general), ("triple-lane-change", lane_change)):
-        assert at.compute_metrics(rollout(plant, mpc, at.load_scenario(scenario))).mse == pytest.approx(
+        assert at.compute_metrics(at.rollout(plant, mpc, at.load_scenario(scenario))).mse == pytest.approx(
             expected, rel=0.05
         )

@@ -1,7 +1,5 @@
 """Any registered plant goes through the chain: stepped ones, foreign ones, those that need a twin."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 import math
@@ -15,24 +13,21 @@ import adaptrack as at
 from adaptrack import cli
 from adaptrack.analysis.linearisation import linearised
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.errors import UnknownName
 from adaptrack.cars import plant as plant_module
-from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
-from adaptrack.cars.vehicle import list_vehicles, load_vehicle
-from adaptrack.control.controllers import Tuning
+from adaptrack.cars.plant import fingerprint, twin_of
 from adaptrack.paper.campaign import run_campaign, tuned_mpc
 from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan
 from adaptrack.paper.data_set import load_dataset
-from adaptrack.tuning.car import TuningEffort, tune
+from adaptrack.tuning.car import TuningEffort
 from adaptrack.tuning.constant import load_tuning
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import operating_point_runs
 
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 POINTS = [[10.0, 1.0, 0.9, 5.0], [20.0, -2.0, 0.6, -10.0]]
 SMALL = TuningEffort(
-    drives=2, hard_drives=1, seconds=5.0, swarm=SwarmSettings(particles=4, generations=2), unseen_drives=4,
+    drives=1, hard_drives=1, seconds=3.0, swarm=SwarmSettings(particles=3, generations=2), unseen_drives=4,
     levels=(3, 2),
 )  # fmt: skip
 
@@ -40,7 +35,7 @@ SMALL = TuningEffort(
 class Sliding(at.SteppedPlant):
     """The linear single-track car in plain Python, as an outside simulator would be."""
 
-    longest_step = 0.005
+    longest_step = 0.025
 
     def __init__(self, vehicle):
         self.car = vehicle
@@ -97,8 +92,8 @@ def campaign(**changes):
 @pytest.mark.compiled
 def test_segments_counted_from_simulated_runs_are_those_of_the_kernel_failed_ones_included():
     mpc = at.MPC(CAR, profile="road")
-    runs = operating_point_runs(SingleTrack(CAR), mpc, POINTS, "road", segment=30)
-    for tuning in (mpc.tuning, Tuning(5, 1, 1.0, 1e-4)):
+    runs = operating_point_runs(at.SingleTrack(CAR), mpc, POINTS, "road", segment=30)
+    for tuning in (mpc.tuning, at.Tuning(5, 1, 1.0, 1e-4)):
         simulated = np.array([runs._simulated_segments(tuning, i, i, 3) for i in range(2)])
         np.testing.assert_allclose(simulated, runs.segments(tuning, 3, np.arange(2)), rtol=1e-9)
     assert np.isinf(simulated).any()  # one has failed
@@ -122,7 +117,7 @@ def test_a_stepped_motion_that_is_not_finite_ends_the_run_as_failed():
 @pytest.mark.compiled
 def test_costs_and_swarms_run_by_run_are_those_of_the_kernel(monkeypatch):
     target = Objective(
-        SingleTrack(CAR), at.MPC(CAR, profile="road"), "lane-change", "road", noise_seeds=(3, 4), duration=2.0
+        at.SingleTrack(CAR), at.MPC(CAR, profile="road"), "lane-change", "road", noise_seeds=(3, 4), duration=2.0
     )
     tunings = np.array([[30.0, 8.0, 1.0, 5.0], [25.0, 5.0, 1.0, 20.0]])
     simulated, _ = target._simulated_trial(POINTS[0], tunings, np.full(2, np.inf))
@@ -137,9 +132,9 @@ def test_costs_and_swarms_run_by_run_are_those_of_the_kernel(monkeypatch):
 
 
 # -- the twin ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", list_vehicles())
+@pytest.mark.parametrize("name", at.list_vehicles())
 def test_a_twin_has_the_steady_yaw_gain_that_the_controller_is_told(name):
-    car = load_vehicle(name)
+    car = at.load_vehicle(name)
     speed = 0.5 * car.domain.speed[1]
     names, a, b = linearised(twin_of(car), speed)
     gain = -np.linalg.lstsq(a, b, rcond=None)[0][names.index("yaw_rate")]
@@ -149,7 +144,7 @@ def test_a_twin_has_the_steady_yaw_gain_that_the_controller_is_told(name):
 
 
 def test_a_plant_with_a_linear_model_stands_for_itself_and_a_stepped_one_has_a_twin():
-    plant = DualTrack(CAR)
+    plant = at.DualTrack(CAR)
     assert linear_twin(plant, CAR, CAR.domain) is plant
     assert linear_twin(Sliding(CAR), CAR, CAR.domain) == twin_of(CAR)
 
@@ -159,7 +154,7 @@ def test_a_plant_with_a_linear_model_stands_for_itself_and_a_stepped_one_has_a_t
 @pytest.mark.parametrize("kind", [Sliding, Cheap])
 def test_a_stepped_plant_is_tuned_and_told_how_long_it_takes(kind, caplog):
     with caplog.at_level(logging.WARNING, "adaptrack"):
-        result = tune(CAR, plant=kind(CAR), effort=SMALL)
+        result = at.tune(CAR, plant=kind(CAR), effort=SMALL)
     assert "is stepped in Python" in caplog.text
     assert "min." in caplog.text
     assert result.failed == 0
@@ -191,9 +186,9 @@ def test_the_identity_of_a_campaign_tells_plants_apart_but_not_modules_that_regi
 
 
 def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
-    with pytest.raises(UnknownName, match=r"There is no plant 'cheap'.*key plugin"):
+    with pytest.raises(at.UnknownName, match=r"There is no plant 'cheap'.*key plugin"):
         CampaignPlan.of(campaign(plant="cheap"))
-    with pytest.raises(UnknownName, match=r"plugin 'nowhere': there is no such module.*PYTHONPATH"):
+    with pytest.raises(at.UnknownName, match=r"plugin 'nowhere': there is no such module.*PYTHONPATH"):
         CampaignPlan.of(campaign(plugin=["nowhere"]))
 
 
@@ -201,7 +196,7 @@ def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
 @pytest.fixture
 def tune_paper(monkeypatch, registered, tmp_path):
     """`adaptrack tune paper` with a short search."""
-    monkeypatch.setattr("adaptrack.tune", lambda *arguments, **options: tune(*arguments, effort=SMALL, **options))
+    monkeypatch.setattr("adaptrack.tune", partial(at.tune, effort=SMALL))
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["adaptrack", "tune", "paper", "--out", str(tmp_path / "out"), *arguments])
@@ -217,7 +212,7 @@ def test_tune_writes_the_car_and_its_constant_and_its_exit_code_tells_the_outcom
 ):
     monkeypatch.setattr("adaptrack.tuning.car.TunedCar.passed", property(lambda self: passed))
     assert tune_paper() == (0 if passed else 3)
-    car, constant = load_vehicle(tmp_path / "out" / "paper.toml"), load_tuning(tmp_path / "out" / "tuning.toml")
+    car, constant = at.load_vehicle(tmp_path / "out" / "paper.toml"), load_tuning(tmp_path / "out" / "tuning.toml")
     assert (car.name, constant.vehicle, constant.controller) == ("paper", "paper", "informed")
 
 

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import SteeringActuator, Tyre, load_tyre, load_vehicle
+import adaptrack as at
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.plants.contract import PLANT_STATES, SLOTS, vehicle_batch
 from references import vehicle as reference
@@ -14,14 +13,14 @@ from references import vehicle as reference
 pytestmark = pytest.mark.kernels
 
 
-PAPER, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
+PAPER, SEDAN = at.load_vehicle("paper"), at.load_vehicle("midsize-sedan")
 VACUUM = {"frontal_area": 0.0}  # even still air pushes a car that drifts
-IDEAL = Tyre(  # eq. (2): constant stiffness of the paper's table, no load, no relaxation, no limit
+IDEAL = at.Tyre(  # eq. (2): constant stiffness of the paper's table, no load, no relaxation, no limit
     name="ideal", kind="linear", stiffness_front=19000.0, stiffness_rear=33000.0, nominal_load=5000.0
 )
-CURVED = load_tyre("passenger-car").replace(curvature=-0.8, relaxation_length=0.0)
+CURVED = at.load_tyre("passenger-car").replace(curvature=-0.8, relaxation_length=0.0)
 TYRES = ("magic-formula", "constant-stiffness", "passenger-car", CURVED, IDEAL)
-PLANTS = [plant(car, tyre) for plant in (SingleTrack, DualTrack) for car in (PAPER, SEDAN) for tyre in TYRES]
+PLANTS = [plant(car, tyre) for plant in (at.SingleTrack, at.DualTrack) for car in (PAPER, SEDAN) for tyre in TYRES]
 
 
 def label(plant):
@@ -80,7 +79,7 @@ def mirrored_inputs(u):
 def wild_state(rng, plant):
     x = np.zeros(PLANT_STATES)
     x[:6] = rng.uniform([-100, -50, -4, 0, -4, -1.5], [100, 50, 4, 45, 4, 1.5])
-    if isinstance(plant, DualTrack):
+    if isinstance(plant, at.DualTrack):
         x[6:10] = rng.uniform(-0.4, 0.4, 4)
         x[10:12] = rng.uniform(-14, 14, 2)  # far enough to lift wheels
     return x
@@ -98,7 +97,7 @@ def wild_inputs(rng, is_driven):
 @every_plant
 @pytest.mark.parametrize("is_driven", [True, False], ids=["driven", "prescribed"])
 def test_the_compiled_derivative_agrees_with_an_independent_one(plant, is_driven, rng):
-    written = reference.single_track if isinstance(plant, SingleTrack) else reference.dual_track
+    written = reference.single_track if isinstance(plant, at.SingleTrack) else reference.dual_track
     count = len(plant.state_names)
     for _ in range(120):
         x, u = wild_state(rng, plant), wild_inputs(rng, is_driven)
@@ -158,10 +157,10 @@ def test_without_wind_and_steering_the_car_stays_exactly_straight(plant, acceler
 
 
 # -- single and dual track --------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("tyre", [IDEAL, CURVED, load_tyre("magic-formula").replace(relaxation_length=0.0)])
+@pytest.mark.parametrize("tyre", [IDEAL, CURVED, at.load_tyre("magic-formula").replace(relaxation_length=0.0)])
 def test_without_height_and_width_two_tracks_are_one(tyre, rng):
     car = PAPER.replace(cg_height=0.0, track_front=1e-9, track_rear=1e-9)
-    single, double = SingleTrack(car, tyre), DualTrack(car, tyre)
+    single, double = at.SingleTrack(car, tyre), at.DualTrack(car, tyre)
     for _ in range(50):
         x, u = wild_state(rng, single), wild_inputs(rng, is_driven=False)
         u[0] = 0.0  # the single track of eq. (1) does not turn the front force by the steering angle
@@ -170,7 +169,7 @@ def test_without_height_and_width_two_tracks_are_one(tyre, rng):
 
 
 @pytest.mark.parametrize("speed", [5.0, 15.0, 30.0])
-@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("plant", [at.SingleTrack, at.DualTrack])
 @pytest.mark.parametrize("car", [PAPER, SEDAN.replace(stiffness_front=40000.0)], ids=["paper", "sedan"])
 def test_a_steady_turn_has_the_yaw_gain_of_the_understeer_formula(plant, car, speed):
     car = car.replace(**VACUUM)
@@ -183,7 +182,7 @@ def test_a_steady_turn_has_the_yaw_gain_of_the_understeer_formula(plant, car, sp
 # -- loads ------------------------------------------------------------------------------------------------------------
 def felt_load(car, wheel, ax=0.0, ay=0.0):
     """Vertical load (N) of a wheel, weighed by its lateral force: the released tyre's is proportional to it."""
-    plant = DualTrack(car, "constant-stiffness")
+    plant = at.DualTrack(car, "constant-stiffness")
     x = moving(10.0, x10=ax, x11=ay)
     x[6 + wheel] = 0.01
     stiffness = (19000.0, 19000.0, 33000.0, 33000.0)[wheel]
@@ -209,7 +208,7 @@ def test_braking_shifts_load_to_the_front_and_turning_left_to_the_right(car):
 @pytest.mark.parametrize("friction", [0.3, 0.9])
 @pytest.mark.parametrize(
     "plant",
-    [SingleTrack(PAPER), DualTrack(PAPER), DualTrack(PAPER, CURVED.replace(friction_load_sensitivity=0.0))],
+    [at.SingleTrack(PAPER), at.DualTrack(PAPER), at.DualTrack(PAPER, CURVED.replace(friction_load_sensitivity=0.0))],
     ids=label,
 )
 def test_friction_limits_the_lateral_acceleration_to_mu_g(plant, friction):
@@ -224,14 +223,14 @@ def test_friction_limits_the_lateral_acceleration_to_mu_g(plant, friction):
 
 def test_braking_on_split_friction_turns_towards_the_grip():
     grip_left = inputs(force=-8000.0, acceleration=np.nan, friction=(0.9, 0.2, 0.9, 0.2))
-    later = ride(DualTrack(PAPER), moving(20.0), grip_left, 0.5)
+    later = ride(at.DualTrack(PAPER), moving(20.0), grip_left, 0.5)
     assert later[2] > 0.01
-    there = ride(DualTrack(PAPER), moving(20.0), mirrored_inputs(grip_left), 0.5)
+    there = ride(at.DualTrack(PAPER), moving(20.0), mirrored_inputs(grip_left), 0.5)
     np.testing.assert_allclose(there, mirrored(later), rtol=1e-10, atol=1e-12)
 
 
 def test_the_wheels_brake_no_harder_than_friction_allows():
-    plant, car = DualTrack(PAPER), PAPER
+    plant, car = at.DualTrack(PAPER), PAPER
     for friction in (0.2, 0.6):
         later = ride(plant, moving(25.0), inputs(force=-15000.0, acceleration=np.nan, friction=friction), 0.5)
         u = inputs(force=-15000.0, acceleration=np.nan, friction=friction)
@@ -244,7 +243,7 @@ def test_the_wheels_brake_no_harder_than_friction_allows():
 def air(speed, wind, yaw=0.0, vy=0.0, car=PAPER):
     """Side force (N) and yaw moment (N m) of the wind: what it adds to a car without tyre forces."""
     x = moving(speed, x2=yaw, x4=vy)
-    dx = slope(SingleTrack(car, IDEAL), x, inputs(friction=0.0, wind=wind))
+    dx = slope(at.SingleTrack(car, IDEAL), x, inputs(friction=0.0, wind=wind))
     return car.mass * dx[4], car.yaw_inertia * dx[5]
 
 
@@ -271,7 +270,7 @@ def test_a_wind_into_the_face_slows_and_pushes_to_no_side():
     side, moment = air(20.0, (-10.0, 0.0))
     assert (side, moment) == (0.0, 0.0)
     faces = [
-        slope(SingleTrack(PAPER), moving(20.0), inputs(acceleration=np.nan, wind=(wind, 0.0)))[3]
+        slope(at.SingleTrack(PAPER), moving(20.0), inputs(acceleration=np.nan, wind=(wind, 0.0)))[3]
         for wind in (-10.0, 0.0, 10.0)
     ]
     assert faces[0] < faces[1] < faces[2] < 0.0
@@ -281,7 +280,7 @@ def test_a_wind_into_the_face_slows_and_pushes_to_no_side():
 @pytest.mark.parametrize("speed", [5.0, 20.0])
 @pytest.mark.parametrize("name", ["magic-formula", "passenger-car"])
 def test_the_lateral_force_builds_up_over_the_relaxation_length(name, speed):
-    plant = DualTrack(PAPER, name)
+    plant = at.DualTrack(PAPER, name)
     slippery = inputs(command=1e-4, friction=1e-9)  # without force the car keeps its course meanwhile
     dry = inputs(command=1e-4)
     final = slope(plant, moving(speed, x6=1e-4, x7=1e-4), dry)[4]
@@ -292,17 +291,17 @@ def test_the_lateral_force_builds_up_over_the_relaxation_length(name, speed):
 
 
 # -- the steering actuator --------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("plant", [at.SingleTrack, at.DualTrack])
 def test_the_steering_lags_by_its_time_constant(plant):
-    car = plant(PAPER, steering=SteeringActuator(lag=0.15))
+    car = plant(PAPER, steering=at.SteeringActuator(lag=0.15))
     for time in (0.075, 0.15, 0.6):
         angle = ride(car, moving(10.0), inputs(command=0.1), time, h=0.0075)[12]
         assert angle == pytest.approx(0.1 * (1 - math.exp(-time / 0.15)), rel=1e-6)
 
 
-@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("plant", [at.SingleTrack, at.DualTrack])
 def test_the_steering_turns_no_faster_than_its_rate_and_no_further_than_its_limit(plant):
-    car = plant(PAPER, steering=SteeringActuator(lag=0.15, rate=0.5, limit=0.3))
+    car = plant(PAPER, steering=at.SteeringActuator(lag=0.15, rate=0.5, limit=0.3))
     assert ride(car, moving(5.0), inputs(command=1.0), 0.2)[12] == pytest.approx(0.1, rel=1e-9)
     assert ride(car, moving(5.0), inputs(command=-1.0), 0.2)[12] == pytest.approx(-0.1, rel=1e-9)
     assert ride(car, moving(5.0), inputs(command=1.0), 3.0, h=0.01)[12] == pytest.approx(0.3, rel=1e-6)

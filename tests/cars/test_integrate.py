@@ -3,57 +3,47 @@
 import numpy as np
 import pytest
 
-from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import SteeringActuator, load_tyre, load_vehicle
+import adaptrack as at
 from adaptrack.core.physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA
-from adaptrack.core.plants.contract import (
-    GROUP,
-    PLANT_INPUT,
-    PLANT_INPUTS,
-    PLANT_STATE,
-    PLANT_STATES,
-    SLOTS,
-    vehicle_batch,
-)
+from adaptrack.core.plants import contract
 from adaptrack.core.plants.user import compile_plant
-from adaptrack.scenario.profile import load_profile
 from references import vehicle as reference
 
 pytestmark = pytest.mark.kernels
 
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 LAWS = {
-    LINEAR_TYRE: load_tyre("constant-stiffness"),
-    MAGIC_FORMULA: load_tyre("magic-formula"),
-    CURVED_MAGIC_FORMULA: load_tyre("passenger-car").replace(curvature=-1.0),
+    LINEAR_TYRE: at.load_tyre("constant-stiffness"),
+    MAGIC_FORMULA: at.load_tyre("magic-formula"),
+    CURVED_MAGIC_FORMULA: at.load_tyre("passenger-car").replace(curvature=-1.0),
 }
-ROAD = load_profile("road").steering
+ROAD = at.load_profile("road").steering
 
-every_plant = pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+every_plant = pytest.mark.parametrize("plant", [at.SingleTrack, at.DualTrack])
 every_law = pytest.mark.parametrize("law", LAWS, ids=("linear", "magic-formula", "curved"))
 
 
 def crowd(rng, plant):
     """SLOTS different vehicles: rows of state and input (STATES + INPUTS, SLOTS), half of them driven by a force."""
-    rows = np.zeros((PLANT_STATES + PLANT_INPUTS, SLOTS))
-    rows[:6] = rng.uniform([[-50], [-9], [-3], [0], [-2], [-1]], [[50], [9], [3], [40], [2], [1]], (6, SLOTS))
-    if isinstance(plant, DualTrack):
-        rows[6:10] = rng.uniform(-0.2, 0.2, (4, SLOTS))
-        rows[10:12] = rng.uniform(-5, 5, (2, SLOTS))
-    rows[12:14] = rng.uniform(-0.3, 0.3, (2, SLOTS))
-    rows[14] = rng.uniform(-9000, 6000, SLOTS)
-    rows[15] = np.where(np.arange(SLOTS) % 2, np.nan, rng.uniform(-3, 3, SLOTS))
-    rows[16:20] = rng.uniform(0.2, 1.1, (4, SLOTS))
-    rows[20:22] = rng.uniform(-30, 30, (2, SLOTS))
-    rows[22] = rng.uniform(-2, 2, SLOTS)
-    rows[PLANT_STATES + PLANT_INPUT.brake] = np.maximum(-rows[14], 0.0)
+    rows = np.zeros((contract.PLANT_STATES + contract.PLANT_INPUTS, contract.SLOTS))
+    rows[:6] = rng.uniform([[-50], [-9], [-3], [0], [-2], [-1]], [[50], [9], [3], [40], [2], [1]], (6, contract.SLOTS))
+    if isinstance(plant, at.DualTrack):
+        rows[6:10] = rng.uniform(-0.2, 0.2, (4, contract.SLOTS))
+        rows[10:12] = rng.uniform(-5, 5, (2, contract.SLOTS))
+    rows[12:14] = rng.uniform(-0.3, 0.3, (2, contract.SLOTS))
+    rows[14] = rng.uniform(-9000, 6000, contract.SLOTS)
+    rows[15] = np.where(np.arange(contract.SLOTS) % 2, np.nan, rng.uniform(-3, 3, contract.SLOTS))
+    rows[16:20] = rng.uniform(0.2, 1.1, (4, contract.SLOTS))
+    rows[20:22] = rng.uniform(-30, 30, (2, contract.SLOTS))
+    rows[22] = rng.uniform(-2, 2, contract.SLOTS)
+    rows[contract.PLANT_STATES + contract.PLANT_INPUT.brake] = np.maximum(-rows[14], 0.0)
     return rows
 
 
 def advance(plant, rows, members, substeps=12, h=0.008):
     """The vehicles `members` (columns of `rows`) after some steps, in a block of their own."""
-    batch = vehicle_batch(plant.compiled, plant.packed(), np.zeros((SLOTS, 6)))
-    slots = batch.block.reshape(PLANT_STATES + PLANT_INPUTS, SLOTS)
+    batch = contract.vehicle_batch(plant.compiled, plant.packed(), np.zeros((contract.SLOTS, 6)))
+    slots = batch.block.reshape(contract.PLANT_STATES + contract.PLANT_INPUTS, contract.SLOTS)
     slots[:] = rows[:, members[:1]]  # whoever fills up the last group of slots
     slots[:, : len(members)] = rows[:, members]
     plant.compiled.advance(
@@ -64,13 +54,13 @@ def advance(plant, rows, members, substeps=12, h=0.008):
 
 @every_plant
 @every_law
-@pytest.mark.parametrize("size", [1, 7, 20, SLOTS])
+@pytest.mark.parametrize("size", [1, 7, 20, contract.SLOTS])
 def test_a_slot_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law, size, rng):
     car = plant(CAR, LAWS[law], ROAD)
     rows = crowd(rng, car)
-    members = rng.permutation(SLOTS)[:size]
+    members = rng.permutation(contract.SLOTS)[:size]
     together = advance(car, rows, members)
-    assert np.isfinite(together[:PLANT_STATES]).all()
+    assert np.isfinite(together[: contract.PLANT_STATES]).all()
     for slot in rng.permutation(size)[:4]:
         alone = advance(car, rows, members[slot : slot + 1])[:, 0]
         assert np.array_equal(alone, together[:, slot], equal_nan=True)
@@ -82,19 +72,19 @@ def test_a_slot_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law,
 def test_inputs_are_held_and_slots_that_nobody_asked_for_stay(plant, rng):
     car = plant(CAR, steering=ROAD)
     rows = crowd(rng, car)
-    batch = vehicle_batch(car.compiled, car.packed(), np.zeros((SLOTS, 6)))
+    batch = contract.vehicle_batch(car.compiled, car.packed(), np.zeros((contract.SLOTS, 6)))
     batch.block[:] = rows.ravel()
-    car.compiled.advance(batch.member, batch.parameters, batch.block, batch.states, batch.work, GROUP, 3, 0.01)
+    car.compiled.advance(batch.member, batch.parameters, batch.block, batch.states, batch.work, contract.GROUP, 3, 0.01)
     after = batch.block.reshape(rows.shape)
-    assert np.array_equal(after[PLANT_STATES:], rows[PLANT_STATES:], equal_nan=True)
-    assert np.array_equal(after[:, GROUP:], rows[:, GROUP:], equal_nan=True)
+    assert np.array_equal(after[contract.PLANT_STATES :], rows[contract.PLANT_STATES :], equal_nan=True)
+    assert np.array_equal(after[:, contract.GROUP :], rows[:, contract.GROUP :], equal_nan=True)
 
 
 @every_plant
 @every_law
 def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
     car = plant(CAR, LAWS[law])
-    written = reference.dual_track if plant is DualTrack else reference.single_track
+    written = reference.dual_track if plant is at.DualTrack else reference.single_track
     count, h = len(car.state_names), 0.005
     rows = crowd(rng, car)
     after = advance(car, rows, np.arange(6), substeps=1, h=h)
@@ -118,9 +108,9 @@ def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
 def custom_ride(function, parameters, steering, start, inputs, substeps, h, count=6):
     """A block's first slot (STATES + INPUTS,) and the plant's own states after a ride of a user's plant."""
     packed = np.array([steering.lag, steering.rate, steering.limit, 0.0, *parameters])  # 0: does not take the grade
-    batch = vehicle_batch(compile_plant(function), packed, np.zeros((SLOTS, count)))
-    rows = batch.block.reshape(-1, SLOTS)
-    rows[:6], rows[PLANT_STATES:] = start[:6, None], inputs[:, None]
+    batch = contract.vehicle_batch(compile_plant(function), packed, np.zeros((contract.SLOTS, count)))
+    rows = batch.block.reshape(-1, contract.SLOTS)
+    rows[:6], rows[contract.PLANT_STATES :] = start[:6, None], inputs[:, None]
     batch.states[:, :6] = start[:6]
     compile_plant(function).advance(batch.member, packed, batch.block, batch.states, batch.work, 3, substeps, h)
     return rows[:, 0].copy(), batch.states
@@ -139,7 +129,9 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
     omega, command, wind = 3.0, 0.2, 1.5
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     inputs = np.array([command, 0.0, np.nan, 1.0, 1.0, 1.0, 1.0, 0.0, wind, 0.0, 0.0, 0.0])
-    _, states = custom_ride(pendulum_beside_the_car, (omega,), SteeringActuator.ideal(), start, inputs, 200, 0.005, 8)
+    _, states = custom_ride(
+        pendulum_beside_the_car, (omega,), at.SteeringActuator.ideal(), start, inputs, 200, 0.005, 8
+    )
     equilibrium = (command + wind) / omega**2
     assert states[0, 6] == pytest.approx(equilibrium * (1 - np.cos(omega * 1.0)), rel=1e-7)
     assert states[0, 0] == pytest.approx(10.0, rel=1e-12)
@@ -148,18 +140,25 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
 
 
 @every_plant
-@pytest.mark.parametrize("steering", [SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
+@pytest.mark.parametrize("steering", [at.SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
 def test_what_is_observed_is_the_slope_and_the_angle_of_the_wheels(plant, steering, rng):
     car = plant(CAR, steering=steering)
-    batch = vehicle_batch(car.compiled, car.packed(), np.zeros((SLOTS, 6)))
-    rows = batch.block.reshape(PLANT_STATES + PLANT_INPUTS, SLOTS)
+    batch = contract.vehicle_batch(car.compiled, car.packed(), np.zeros((contract.SLOTS, 6)))
+    rows = batch.block.reshape(contract.PLANT_STATES + contract.PLANT_INPUTS, contract.SLOTS)
     rows[:] = crowd(rng, car)
-    for slot in (0, 5, SLOTS - 1):
-        angle, slope = np.full(2, np.nan), np.full(PLANT_STATES, np.nan)
+    for slot in (0, 5, contract.SLOTS - 1):
+        angle, slope = np.full(2, np.nan), np.full(contract.PLANT_STATES, np.nan)
         car.compiled.observe(batch.member, batch.parameters, batch.block, batch.states, batch.work, slot, angle)
-        x, u = rows[:PLANT_STATES, slot].copy(), rows[PLANT_STATES:, slot].copy()
+        x, u = rows[: contract.PLANT_STATES, slot].copy(), rows[contract.PLANT_STATES :, slot].copy()
         car.compiled.right_hand_side(x, u, car.packed(), slope)
-        assert angle[0] == slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate] - u[PLANT_INPUT.bank]
+        assert (
+            angle[0]
+            == slope[contract.PLANT_STATE.vy]
+            + x[contract.PLANT_STATE.vx] * x[contract.PLANT_STATE.yaw_rate]
+            - u[contract.PLANT_INPUT.bank]
+        )
         assert angle[1] == (
-            x[PLANT_STATE.steering] if steering is ROAD else np.clip(u[PLANT_INPUT.command], -np.pi / 2, np.pi / 2)
+            x[contract.PLANT_STATE.steering]
+            if steering is ROAD
+            else np.clip(u[contract.PLANT_INPUT.command], -np.pi / 2, np.pi / 2)
         )

@@ -1,16 +1,12 @@
 """Tyre property files against the published equations, written out here once more."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import ConfigError, StorageError
-from adaptrack.cars.tyre_file import read_tyre_file
+import adaptrack as at
 from adaptrack.cars.tyre_fit import lateral_force
-from adaptrack.cars.vehicle import Tyre, load_tyre
 
 # Besselink, Schmeitz, Pacejka 2010 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., appendix 3): 205/60 R15 91V
 BOOK = {
@@ -61,7 +57,7 @@ def test_the_force_is_that_of_the_published_equations_turned_to_the_left(tmp_pat
     scaled = "LFZO = 0.9\nLKY = 1.2\nLMUY = 0.85\nLCY = 1.05\nLEY = 0.7"
     for factors in ({}, {"lfz": 0.9, "lky": 1.2, "lmuy": 0.85, "lcy": 1.05, "ley": 0.7}):
         sections = {"SCALING_COEFFICIENTS": scaled} if factors else {}
-        tyre = read_tyre_file(tir(tmp_path / "a.tir", p, model=model, **sections))
+        tyre = at.read_tyre_file(tir(tmp_path / "a.tir", p, model=model, **sections))
         for slip, load in GRID:
             assert tyre.force(slip, load) == pytest.approx(-published(p, slip, load, 4000.0, **factors), rel=1e-12)
             small = 1e-7
@@ -70,13 +66,13 @@ def test_the_force_is_that_of_the_published_equations_turned_to_the_left(tmp_pat
 
 
 def test_units_other_than_si_give_the_same_tyre(tmp_path):
-    plain = read_tyre_file(tir(tmp_path / "a.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5"))
+    plain = at.read_tyre_file(tir(tmp_path / "a.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5"))
     per_degree = BOOK | {"PKY1": math.radians(BOOK["PKY1"]), "PHY1": math.degrees(BOOK["PHY1"])}
     path = tir(
         tmp_path / "b.tir", per_degree, nominal=4.0, STRUCTURAL="LATERAL_STIFFNESS = 0.1",
         UNITS="LENGTH = 'mm'\nFORCE = 'kN'\nANGLE = 'degrees'", DIMENSION="UNLOADED_RADIUS = 313.5",
     )  # fmt: skip
-    other = read_tyre_file(path)
+    other = at.read_tyre_file(path)
     assert other.nominal_load == pytest.approx(4000.0)
     assert other.radius == pytest.approx(0.3135)
     for slip, load in GRID:
@@ -88,7 +84,7 @@ def test_other_signs_of_slip_and_force_give_the_same_tyre(tmp_path):
     """The sign of the slip is in PKY1 and is said; some files carry that of the force in PDY1."""
     turned = {"PDY1": -BOOK["PDY1"], "PDY2": -BOOK["PDY2"]}
     iso, sae, other = (
-        read_tyre_file(tir(tmp_path / "a.tir", BOOK | changes)) for changes in ({}, {"PKY1": 15.324}, turned)
+        at.read_tyre_file(tir(tmp_path / "a.tir", BOOK | changes)) for changes in ({}, {"PKY1": 15.324}, turned)
     )
     slip, load = np.array(GRID).T
     np.testing.assert_array_equal(iso.force(slip, load), sae.force(slip, load))
@@ -98,16 +94,16 @@ def test_other_signs_of_slip_and_force_give_the_same_tyre(tmp_path):
 
 
 def test_the_relaxation_length_is_the_published_one(tmp_path):
-    pac = read_tyre_file(
+    pac = at.read_tyre_file(
         tir(tmp_path / "a.tir", PAC, model="FITTYP = 6", nominal=4850.0, DIMENSION="UNLOADED_RADIUS = 0.344")
     )
     assert pac.relaxation_length(2400.0) == pytest.approx(0.35, abs=0.005)  # as the page of the tyres says
     assert pac.relaxation_length(4850.0) == pytest.approx(0.59, abs=0.005)
-    assert load_tyre("passenger-car").relaxation_length == pytest.approx(pac.relaxation_length(3300.0), rel=0.01)
-    book = read_tyre_file(tir(tmp_path / "b.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5\nPCFY1 = 0.2"))
+    assert at.load_tyre("passenger-car").relaxation_length == pytest.approx(pac.relaxation_length(3300.0), rel=0.01)
+    book = at.read_tyre_file(tir(tmp_path / "b.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5\nPCFY1 = 0.2"))
     assert book.relaxation_length(4000.0) == pytest.approx(book.stiffness(4000.0) / 1e5)
     assert book.relaxation_length(6000.0) == pytest.approx(book.stiffness(6000.0) / 1.1e5)
-    none = read_tyre_file(tir(tmp_path / "c.tir", BOOK)).to_tyre()
+    none = at.read_tyre_file(tir(tmp_path / "c.tir", BOOK)).to_tyre()
     assert none.tyre.relaxation_length == 0.0
     assert any("No relaxation length" in note for note in none.notes)
 
@@ -115,8 +111,8 @@ def test_the_relaxation_length_is_the_published_one(tmp_path):
 @pytest.mark.parametrize(("model", "p", "most"), [("FITTYP = 61", BOOK, 0.02), ("FITTYP = 6", PAC, 0.01)])
 def test_the_fitted_tyre_is_as_near_as_it_says_and_near(tmp_path, model, p, most):
     """Largest deviation of the force over slip and load, against the published equations."""
-    fit = read_tyre_file(tir(tmp_path / "a.tir", p, model=model)).to_tyre("mine")
-    assert isinstance(fit.tyre, Tyre)
+    fit = at.read_tyre_file(tir(tmp_path / "a.tir", p, model=model)).to_tyre("mine")
+    assert isinstance(fit.tyre, at.Tyre)
     assert fit.tyre.name == "mine"
     worst = 0.0
     for slip in np.linspace(0.0, fit.slips[1], 40):
@@ -131,9 +127,9 @@ def test_the_fitted_tyre_is_as_near_as_it_says_and_near(tmp_path, model, p, most
 
 def test_the_shipped_tyres_are_what_their_published_sets_give(tmp_path):
     for name, p, nominal in (("small-car", BOOK, 4000.0), ("passenger-car", PAC, 4850.0)):
-        shipped = load_tyre(name)
+        shipped = at.load_tyre(name)
         assert shipped.friction_load_sensitivity == pytest.approx(-p["PDY2"] / p["PDY1"], rel=0.02)
-        file = read_tyre_file(tir(tmp_path / "a.tir", p, nominal=nominal, model="FITTYP = 61"))
+        file = at.read_tyre_file(tir(tmp_path / "a.tir", p, nominal=nominal, model="FITTYP = 61"))
         loads = np.linspace(0.4, 1.4, 11) * nominal
         for load in loads:
             assert shipped.stiffness_at(load, load)[0] == pytest.approx(float(file.stiffness(load)), rel=1e-3)
@@ -147,54 +143,53 @@ def test_what_is_left_out_is_said(tmp_path):
         tmp_path / "a.tir", BOOK, OPERATING_CONDITIONS="INFLPRES = 200000\nNOMPRES = 220000",
         ALIGNING_COEFFICIENTS="QBZ1 = 12", LONGITUDINAL_COEFFICIENTS="PCX1 = 1.6",
     )  # fmt: skip
-    notes = " ".join(read_tyre_file(file).notes)
+    notes = " ".join(at.read_tyre_file(file).notes)
     assert "Ply steer and conicity, measured as a left tyre" in notes
     assert "nominal (220000), not as it is (200000)" in notes
     assert all(words in notes for words in ("Camber", "aligning moment", "longitudinal slip"))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"LATERAL_COEFFICIENTS": None}, r"no section \[LATERAL_COEFFICIENTS\]"),
-        ({"UNITS": None}, r"no section \[UNITS\]: write LENGTH"),
-        ({"VERTICAL": "X = 1"}, r"has no FNOMIN"),
-        ({"UNITS": "LENGTH = 'furlong'\nFORCE = 'newton'\nANGLE = 'rad'"}, r"line 5: LENGTH = 'furlong': unknown unit"),
-        ({"UNITS": "LENGTH = 'meter'\nFORCE = 'kN'\nANGLE = 'rad'"}, r"FNOMIN = 4000 is 4e\+06 N, .* wrong \[UNITS\]"),
-        ({"UNITS": "LENGTH = 'meter'\nFORCE = 'newton'\nANGLE = 'degrees'"}, r"PKY1 = -15.324.*per degree"),
-        ({"MODEL": "PROPERTY_FILE_FORMAT = 'FTIRE'"}, r"line 10: tyre model 'FTIRE' cannot be read"),
-        ({"MODEL": "FITTYP = 7"}, r"tyre model '7' cannot be read"),
-        ({"MODEL": "LONGVL = 16"}, r"has no FITTYP and no PROPERTY_FILE_FORMAT"),
-        ({"DIMENSION": "UNLOADED_RADIUS = 313.5"}, r"line 13: UNLOADED_RADIUS = 313.5 is 313.5 m"),
-        ({"SCALING_COEFFICIENTS": "LKY = -1"}, r"LKY = -1: a scaling factor must be positive"),
-        ({"VERTICAL_FORCE_RANGE": "FZMIN = 9000\nFZMAX = 9500"}, r"holds no load near FNOMIN"),
-        ({"LATERAL_COEFFICIENTS": "PCY1 = 1.3\nPKY1 = -15\nPKY2 = 1.7"}, r"has no PDY1"),
-        ({"PDY1": "nan"}, r"line \d+: PDY1 = nan: must be a finite number"),
-        ({"PKY2": "much"}, r"line \d+: PKY2 = 'much': must be a number"),
-        ({"PKY2": -1.7}, r"PKY2 = -1.7: the load .* is from 1e-06"),
-        ({"PDY2": -3.0}, r"the friction is not positive at \d+ N"),
-        ({"PKY4": 5.0}, r"the cornering stiffness is not positive at \d+ N"),
-        ({"PDY1": "1\nPDY1 = 1\nPDY1 = 1.4"}, r"line \d+: PDY1 stands in line \d+ with another value"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"LATERAL_COEFFICIENTS": None}, r"no section \[LATERAL_COEFFICIENTS\]"),
+    ({"UNITS": None}, r"no section \[UNITS\]: write LENGTH"),
+    ({"VERTICAL": "X = 1"}, r"has no FNOMIN"),
+    ({"UNITS": "LENGTH = 'furlong'\nFORCE = 'newton'\nANGLE = 'rad'"}, r"line 5: LENGTH = 'furlong': unknown unit"),
+    ({"UNITS": "LENGTH = 'meter'\nFORCE = 'kN'\nANGLE = 'rad'"}, r"FNOMIN = 4000 is 4e\+06 N, .* wrong \[UNITS\]"),
+    ({"UNITS": "LENGTH = 'meter'\nFORCE = 'newton'\nANGLE = 'degrees'"}, r"PKY1 = -15.324.*per degree"),
+    ({"MODEL": "PROPERTY_FILE_FORMAT = 'FTIRE'"}, r"line 10: tyre model 'FTIRE' cannot be read"),
+    ({"MODEL": "FITTYP = 7"}, r"tyre model '7' cannot be read"),
+    ({"MODEL": "LONGVL = 16"}, r"has no FITTYP and no PROPERTY_FILE_FORMAT"),
+    ({"DIMENSION": "UNLOADED_RADIUS = 313.5"}, r"line 13: UNLOADED_RADIUS = 313.5 is 313.5 m"),
+    ({"SCALING_COEFFICIENTS": "LKY = -1"}, r"LKY = -1: a scaling factor must be positive"),
+    ({"VERTICAL_FORCE_RANGE": "FZMIN = 9000\nFZMAX = 9500"}, r"holds no load near FNOMIN"),
+    ({"LATERAL_COEFFICIENTS": "PCY1 = 1.3\nPKY1 = -15\nPKY2 = 1.7"}, r"has no PDY1"),
+    ({"PDY1": "nan"}, r"line \d+: PDY1 = nan: must be a finite number"),
+    ({"PKY2": "much"}, r"line \d+: PKY2 = 'much': must be a number"),
+    ({"PKY2": -1.7}, r"PKY2 = -1.7: the load .* is from 1e-06"),
+    ({"PDY2": -3.0}, r"the friction is not positive at \d+ N"),
+    ({"PKY4": 5.0}, r"the cornering stiffness is not positive at \d+ N"),
+    ({"PDY1": "1\nPDY1 = 1\nPDY1 = 1.4"}, r"line \d+: PDY1 stands in line \d+ with another value"),
+])  # fmt: skip
 def test_what_is_missing_or_impossible_is_named_with_its_line(tmp_path, changes, message):
     """changes: sections, or coefficients."""
     coefficients = BOOK | {key: value for key, value in changes.items() if key in BOOK}
     sections = {key: value for key, value in changes.items() if key not in BOOK}
-    with pytest.raises(ConfigError, match=message):
-        read_tyre_file(tir(tmp_path / "a.tir", coefficients, **sections))
-    with pytest.raises(StorageError):
-        read_tyre_file(tmp_path / "none.tir")
+    with pytest.raises(at.ConfigError, match=message):
+        at.read_tyre_file(tir(tmp_path / "a.tir", coefficients, **sections))
+    with pytest.raises(at.StorageError):
+        at.read_tyre_file(tmp_path / "none.tir")
 
 
 @pytest.mark.parametrize("blank", ["", "''", "   $ not measured"])
 def test_an_empty_value_counts_as_not_there(tmp_path, blank):
-    plain = read_tyre_file(tir(tmp_path / "a.tir", PAC, model="PROPERTY_FILE_FORMAT = 'PAC2002'"))
+    plain = at.read_tyre_file(tir(tmp_path / "a.tir", PAC, model="PROPERTY_FILE_FORMAT = 'PAC2002'"))
     empty = {"STRUCTURAL": "LATERAL_STIFFNESS", "VERTICAL_FORCE_RANGE": "FZMIN", "SCALING_COEFFICIENTS": "LMUY"}
     sections = {section: f"{key} = {blank}" for section, key in empty.items()}
     sections["STRUCTURAL"] += "\nPCFY1 = 0\nLATERAL_STIFFNESS = n/a"  # PAC2002 has no use for it
-    assert read_tyre_file(tir(tmp_path / "a.tir", PAC, model="PROPERTY_FILE_FORMAT = 'PAC2002'", **sections)) == plain
+    assert (
+        at.read_tyre_file(tir(tmp_path / "a.tir", PAC, model="PROPERTY_FILE_FORMAT = 'PAC2002'", **sections)) == plain
+    )
     path = tir(tmp_path / "a.tir", PAC)
     path.write_text(path.read_text().replace("PDY1 = 1.0489", f"PDY1 = {blank}"))
-    with pytest.raises(ConfigError, match=r"\[LATERAL_COEFFICIENTS\] has no PDY1"):
-        read_tyre_file(path)
+    with pytest.raises(at.ConfigError, match=r"\[LATERAL_COEFFICIENTS\] has no PDY1"):
+        at.read_tyre_file(path)

@@ -1,16 +1,13 @@
 """Tables of axle force over slip."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import ConfigError, InvalidInput
-from adaptrack.cars.tyre_fit import lateral_force, tyre_from_table
-from adaptrack.cars.vehicle import load_tyre
+import adaptrack as at
+from adaptrack.cars.tyre_fit import lateral_force
 
 LOADS = (3800.0, 2600.0)
-TYRE = load_tyre("sports-car")
+TYRE = at.load_tyre("sports-car")
 
 
 def table(path, *, loads=(LOADS,), degrees=False, furthest=0.18, friction=0.95, write_loads=False, offset=0.0):
@@ -29,7 +26,7 @@ def table(path, *, loads=(LOADS,), degrees=False, furthest=0.18, friction=0.95, 
 
 @pytest.mark.parametrize("degrees", [False, True])
 def test_the_table_of_a_known_tyre_gives_it_back(tmp_path, degrees):
-    fit = tyre_from_table(table(tmp_path / "axles.csv", degrees=degrees), LOADS)
+    fit = at.tyre_from_table(table(tmp_path / "axles.csv", degrees=degrees), LOADS)
     assert fit.tyre.name == "axles"
     front, rear = TYRE.stiffness_at(*LOADS)
     assert fit.tyre.stiffness_front == pytest.approx(front, rel=0.02)
@@ -41,7 +38,7 @@ def test_the_table_of_a_known_tyre_gives_it_back(tmp_path, degrees):
 
 def test_several_loads_give_the_dependence_on_load_and_friction_as_well(tmp_path):
     several = [(2000.0, 1500.0), (3800.0, 2600.0), (5500.0, 4200.0)]
-    fit = tyre_from_table(table(tmp_path / "axles.csv", loads=several, write_loads=True))
+    fit = at.tyre_from_table(table(tmp_path / "axles.csv", loads=several, write_loads=True))
     assert fit.deviation < 0.005
     for load in (1600.0, 3000.0, 5000.0):
         assert fit.tyre.stiffness_at(load, load) == pytest.approx(TYRE.stiffness_at(load, load), rel=0.02)
@@ -51,25 +48,25 @@ def test_several_loads_give_the_dependence_on_load_and_friction_as_well(tmp_path
 
 
 def test_a_table_that_does_not_saturate_says_so(tmp_path):
-    fit = tyre_from_table(table(tmp_path / "axles.csv", furthest=0.01), LOADS)
+    fit = at.tyre_from_table(table(tmp_path / "axles.csv", furthest=0.01), LOADS)
     assert any("hardly saturate" in note for note in fit.notes)
     assert fit.tyre.stiffness_front == pytest.approx(TYRE.stiffness_at(*LOADS)[0], rel=0.05)
 
 
 def test_an_offset_of_the_slip_is_taken_out_and_said(tmp_path):
-    fit = tyre_from_table(table(tmp_path / "axles.csv", offset=0.004), LOADS)
+    fit = at.tyre_from_table(table(tmp_path / "axles.csv", offset=0.004), LOADS)
     assert any("rear axle has no force at a slip of 0.0040 rad" in note for note in fit.notes)
     assert fit.deviation < 0.02
 
 
 def test_an_axle_may_be_left_empty_in_some_rows_but_loads_are_needed(tmp_path):
     path = table(tmp_path / "axles.csv")
-    with pytest.raises(InvalidInput, match="has no loads: add load_front_N"):
-        tyre_from_table(path)
+    with pytest.raises(at.InvalidInput, match="has no loads: add load_front_N"):
+        at.tyre_from_table(path)
     lines = path.read_text().splitlines()
     lines[5] = lines[5].rsplit(",", 1)[0] + ","
     path.write_text("\n".join(lines))
-    assert tyre_from_table(path, LOADS).deviation < 0.02
+    assert at.tyre_from_table(path, LOADS).deviation < 0.02
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -85,20 +82,20 @@ def test_an_axle_may_be_left_empty_in_some_rows_but_loads_are_needed(tmp_path):
 def test_a_table_that_is_none_is_named(tmp_path, change, message):
     path = table(tmp_path / "axles.csv")
     path.write_text(change(path.read_text()))
-    with pytest.raises(ConfigError, match=message):
-        tyre_from_table(path, LOADS)
+    with pytest.raises(at.ConfigError, match=message):
+        at.tyre_from_table(path, LOADS)
 
 
 def test_slip_in_degrees_in_a_column_of_radians_and_the_other_sign_are_named(tmp_path):
     path = table(tmp_path / "axles.csv", degrees=True)
     path.write_text(path.read_text().replace("slip_deg", "slip_rad"))
-    with pytest.raises(ConfigError, match="in degrees it is column slip_deg"):
-        tyre_from_table(path, LOADS)
+    with pytest.raises(at.ConfigError, match="in degrees it is column slip_deg"):
+        at.tyre_from_table(path, LOADS)
     path = table(tmp_path / "axles.csv")
     head, *rows = path.read_text().splitlines()
     turned = [",".join([str(-float(row.split(",")[0])), *row.split(",")[1:]]) for row in rows]
     path.write_text("\n".join([head, *turned]))
-    with pytest.raises(ConfigError, match=r"force_front_N falls with slip.*change the sign"):
-        tyre_from_table(path, LOADS)
-    with pytest.raises(ConfigError, match="times the load: wrong unit"):
-        tyre_from_table(table(tmp_path / "axles.csv"), (38.0, 26.0))
+    with pytest.raises(at.ConfigError, match=r"force_front_N falls with slip.*change the sign"):
+        at.tyre_from_table(path, LOADS)
+    with pytest.raises(at.ConfigError, match="times the load: wrong unit"):
+        at.tyre_from_table(table(tmp_path / "axles.csv"), (38.0, 26.0))

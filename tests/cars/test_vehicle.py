@@ -1,4 +1,4 @@
-"""Vehicles, tyres and actuators: what they mean, what they refuse, and that each number reaches its own slot."""
+"""Vehicles, tyres, actuators and pedals: what they mean, and that each number reaches its own slot."""
 
 from __future__ import annotations
 
@@ -10,26 +10,16 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
+import adaptrack as at
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record, build, dump_toml, read_toml, write_toml
-from adaptrack.cars.vehicle import (
-    Steering,
-    SteeringActuator,
-    Tyre,
-    Vehicle,
-    list_tyres,
-    list_vehicles,
-    load_tyre,
-    load_vehicle,
-    pack_plant,
-)
+from adaptrack.cars.vehicle import COASTING_SHARE, PedalMap, pack_plant
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.synthesis.plant import stiffness_coefficients
-from adaptrack.scenario.profile import Profile
 
 OWN_CAR = """\
 mass = 1500
@@ -43,13 +33,13 @@ stiffness_rear = 60e3
 PAPER_TABLE = dict(mass=1575, yaw_inertia=2875, lf=1.2, lr=1.6, stiffness_front=19000, stiffness_rear=33000)
 
 
-def car(**changes) -> Vehicle:
-    return Vehicle(**{"name": "test", **PAPER_TABLE, **changes})
+def car(**changes) -> at.Vehicle:
+    return at.Vehicle(**{"name": "test", **PAPER_TABLE, **changes})
 
 
-def tyre(**changes) -> Tyre:
+def tyre(**changes) -> at.Tyre:
     numbers = {"stiffness_front": 8e4, "stiffness_rear": 9e4, "nominal_load": 4e3}
-    return Tyre(**({"name": "test", "kind": "linear"} | numbers | changes))
+    return at.Tyre(**({"name": "test", "kind": "linear"} | numbers | changes))
 
 
 def car_of(mass, lf, lr, index, front, rear):
@@ -67,7 +57,7 @@ cars = st.builds(
 )  # fmt: skip
 
 
-def lateral_matrices(vehicle: Vehicle, vx: float) -> tuple[np.ndarray, np.ndarray]:
+def lateral_matrices(vehicle: at.Vehicle, vx: float) -> tuple[np.ndarray, np.ndarray]:
     """The paper's eq. (6) as d/dt (v_y, r) = A (v_y, r) + B delta."""
     m, inertia, lf, lr = vehicle.mass, vehicle.yaw_inertia, vehicle.lf, vehicle.lr
     front, rear = 2 * vehicle.stiffness_front, 2 * vehicle.stiffness_rear
@@ -82,31 +72,31 @@ def lateral_matrices(vehicle: Vehicle, vx: float) -> tuple[np.ndarray, np.ndarra
 
 class TestNamedSets:
     def test_every_named_vehicle_and_tyre_loads_and_a_model_has_the_stiffness_of_its_tyres_at_rest(self):
-        assert {"paper", "midsize-sedan", "compact-ev", "van"} <= set(list_vehicles())
-        assert {"magic-formula", "constant-stiffness", "passenger-car"} <= set(list_tyres())
-        for load, listed in ((load_tyre, list_tyres()), (load_vehicle, list_vehicles())):
+        assert {"paper", "midsize-sedan", "compact-ev", "van"} <= set(at.list_vehicles())
+        assert {"magic-formula", "constant-stiffness", "passenger-car"} <= set(at.list_tyres())
+        for load, listed in ((at.load_tyre, at.list_tyres()), (at.load_vehicle, at.list_vehicles())):
             assert [load(name).name for name in listed] == list(listed)
             assert all(load(name).description for name in listed)
-        for vehicle in map(load_vehicle, list_vehicles()):
-            matched = vehicle.matched_to(load_tyre(vehicle.tyre))
+        for vehicle in map(at.load_vehicle, at.list_vehicles()):
+            matched = vehicle.matched_to(at.load_tyre(vehicle.tyre))
             stiffness = (vehicle.stiffness_front, vehicle.stiffness_rear)
             assert stiffness == pytest.approx((matched.stiffness_front, matched.stiffness_rear), rel=1e-3)
 
     def test_the_paper_car_has_the_papers_table(self):
-        vehicle = load_vehicle("paper")
+        vehicle = at.load_vehicle("paper")
         assert {name: getattr(vehicle, name) for name in PAPER_TABLE} == PAPER_TABLE
         for name in ("magic-formula", "constant-stiffness"):
-            assert (load_tyre(name).stiffness_front, load_tyre(name).stiffness_rear) == (19000, 33000)
+            assert (at.load_tyre(name).stiffness_front, at.load_tyre(name).stiffness_rear) == (19000, 33000)
 
     def test_the_released_tyre_leaves_the_paper_car_33_6_and_43_7_kilonewton_per_radian_and_axle(self):
         # Independent figures: read from the authors' released model.
-        front, rear = load_tyre("constant-stiffness").stiffness_at(*load_vehicle("paper").static_loads)
+        front, rear = at.load_tyre("constant-stiffness").stiffness_at(*at.load_vehicle("paper").static_loads)
         assert 2 * front == pytest.approx(33.6e3, rel=3e-3)
         assert 2 * rear == pytest.approx(43.7e3, rel=3e-3)
 
     def test_a_side_wind_of_30_metres_per_second_pushes_the_paper_car_with_1_5_kilonewton_and_turns_it_with_1_4(self):
         # Independent figures: read from the authors' released model, at a forward speed of 20 m/s.
-        vehicle = load_vehicle("paper")
+        vehicle = at.load_vehicle("paper")
         pressure = 0.5 * vehicle.air_density * vehicle.frontal_area * (20**2 + 30**2)
         angle = min(math.atan2(30, 20), vehicle.wind_angle_limit)
         assert pressure * vehicle.side_force_slope * angle == pytest.approx(1500, rel=0.02)
@@ -114,39 +104,39 @@ class TestNamedSets:
 
     def test_the_sedan_has_the_figures_that_commonroad_publishes_for_its_vehicle_2(self):
         pound, foot = 4.4482216152605, 0.3048
-        sedan = load_vehicle("midsize-sedan")
+        sedan = at.load_vehicle("midsize-sedan")
         assert sedan.mass == pytest.approx(74.91452 * pound / foot, rel=1e-4)
         assert sedan.yaw_inertia == pytest.approx(1321.416 * pound * foot, rel=1e-4)
         lengths = (sedan.lf, sedan.lr, sedan.track_front, sedan.track_rear, sedan.cg_height)
         assert lengths == pytest.approx([foot * x for x in (3.793293, 4.667707, 4.55, 4.475, 1.886053)], rel=1e-4)
 
     def test_the_electric_car_is_what_opendbc_makes_of_its_kerb_mass_and_wheelbase(self):
-        car, mass, wheelbase = load_vehicle("compact-ev"), 1685 + 136, 2.6
+        car, mass, wheelbase = at.load_vehicle("compact-ev"), 1685 + 136, 2.6
         assert (car.mass, car.lf, car.lr) == pytest.approx((mass, 0.4 * wheelbase, 0.6 * wheelbase))
         civic_mass, civic_wheelbase = 1326 + 136, 2.7
         scaled = 2500 * mass * wheelbase**2 / (civic_mass * civic_wheelbase**2)
         assert car.yaw_inertia == pytest.approx(scaled, rel=1e-3)
         # between a Civic's axles, scaled by mass alone (both have their centre of gravity at 0.4), and the bare tyre
         share = 0.385 * mass / civic_mass / 2
-        bare = load_tyre("passenger-car").stiffness_at(*car.static_loads)
+        bare = at.load_tyre("passenger-car").stiffness_at(*car.static_loads)
         assert 192150 * share < car.stiffness_front < bare[0]
         assert 202500 * share < car.stiffness_rear < bare[1]
 
     def test_the_van_has_the_published_axles_and_the_inertia_of_commonroads_van_in_proportion(self):
-        van = load_vehicle("van")
+        van = at.load_vehicle("van")
         assert (van.lf, van.lr, van.mass) == (1.484, 1.644, 2520 + 4 * 70)
         ratio = 2473.12 / (1478.898 * 1.150792 * 1.321136)  # vehicle 3 of CommonRoad: I_z/(m a b)
         assert van.yaw_inertia == pytest.approx(ratio * van.mass * van.lf * van.lr, rel=2e-3)
 
     def test_the_vans_tyre_is_the_passenger_cars_at_other_loads(self):
-        ours, base, scale = load_tyre("van"), load_tyre("passenger-car"), 875 / 800
+        ours, base, scale = at.load_tyre("van"), at.load_tyre("passenger-car"), 875 / 800
         for load in (3000.0, 5305.0, 7200.0):
             mine, theirs = ours.stiffness_at(load, load), base.stiffness_at(load / scale, load / scale)
             assert mine == pytest.approx([scale * their for their in theirs], rel=1e-3)
 
 
 class TestFields:
-    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator, Steering, Profile])
+    @pytest.mark.parametrize("model", [at.Vehicle, at.Tyre, at.SteeringActuator, at.Steering, at.Profile])
     def test_every_number_says_its_unit_and_every_field_its_meaning(self, model):
         units = ("kg", "kg m^2", "kg/m^3", "m", "m^2", "N", "N/rad", "1/rad", "rad", "rad/s", "s", "W", "-")
         units += ("m/s", "m/s^2", "m^2/rad^2")
@@ -165,42 +155,29 @@ class TestFields:
         with pytest.raises(ValidationError):
             vehicle.mass = 1.0
         assert vehicle.mass == 1575
-        with pytest.raises(InvalidInput, match=r"mass = -1: must be a finite number > 0 .*kg"):
-            vehicle.replace(mass=-1)
-        with pytest.raises(InvalidInput, match=r"mas: unknown key. Did you mean 'mass'\?"):
-            vehicle.replace(mas=1)
 
     def test_sets_survive_their_file_pickling_and_json(self, tmp_path):
-        sets = [*map(load_vehicle, list_vehicles()), *map(load_tyre, list_tyres()), SteeringActuator.ideal()]
+        sets = [
+            *map(at.load_vehicle, at.list_vehicles()),
+            *map(at.load_tyre, at.list_tyres()),
+            at.SteeringActuator.ideal(),
+        ]
         for record in sets:
             assert pickle.loads(pickle.dumps(record)) == record
             assert type(record).model_validate_json(record.model_dump_json()) == record
             record.to_toml(tmp_path / "copy.toml")
-            name = {"name": record.name} if isinstance(record, Vehicle) else {}  # a car is named after its file
+            name = {"name": record.name} if isinstance(record, at.Vehicle) else {}  # a car is named after its file
             assert build(type(record), read_toml(tmp_path / "copy.toml") | name, "copy") == record
 
     @pytest.mark.parametrize("name", sorted(PAPER_TABLE))
     def test_the_prediction_model_takes_positive_finite_numbers_only(self, name):
         for value in (0, -math.inf, math.nan, "1575", True, [1.0], 10**400):
-            with pytest.raises(InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
+            with pytest.raises(at.InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
                 car(**{name: value})
-
-    @pytest.mark.parametrize(("changes", "message"), [
-        ({"mass": 1.5}, r"yaw_inertia/\(mass lf lr\) = .*Give the mass in kg"),
-        ({"yaw_inertia": 2.5}, "do not belong together"),
-        ({"stiffness_front": 1.0e3}, "stiffness_front = 1000 N/rad is .* N/deg times 57.3"),
-        ({"stiffness_rear": 60.0}, "stiffness_rear = 60 N/rad .* kN/rad times 1000"),
-    ])  # fmt: skip
-    def test_numbers_in_another_unit_than_the_others_are_refused_with_the_remedy(self, changes, message):
-        with pytest.raises(InvalidInput, match=message):
-            load_vehicle("midsize-sedan").replace(**changes)
 
     def test_the_ends_of_a_range_are_in_it(self):
         for value in (0, 1):
             assert car(drive_front=value, brake_front=value).drive_front == value
-        for value in (-0.01, 1.01):
-            with pytest.raises(InvalidInput, match=rf"brake_front = {value}: must be a finite number >= 0 and <= 1 "):
-                car(brake_front=value)
 
 
 class TestTyre:
@@ -220,25 +197,9 @@ class TestTyre:
 
 class TestActuator:
     def test_ideal_has_no_lag_and_no_rate_limit(self):
-        ideal = SteeringActuator.ideal()
+        ideal = at.SteeringActuator.ideal()
         assert (ideal.lag, ideal.rate) == (0, math.inf)
         assert ideal.limit >= math.pi / 6  # the MPC's own bound stays the tighter one
-
-    @pytest.mark.parametrize(("make", "words"), [
-        (lambda: tyre(relaxation_length=-0.1), "relaxation_length = -0.1: must be a finite number >= 0"),
-        (lambda: tyre(stiffness_load="digressive"), "a digressive stiffness needs the load ratio"),
-        (lambda: tyre(stiffness_load="linear", digressive_load_ratio=2.0), "= 2.0: only stiffness_load = 'digress"),
-        (lambda: SteeringActuator(rate=0.5), "rate = 0.5: a rate limit acts on the lag: give lag > 0"),
-        (lambda: SteeringActuator(lag=0.1, rate=0), "rate = 0"),
-        (lambda: SteeringActuator(lag=-0.1), "lag = -0.1"),
-        (lambda: SteeringActuator(limit=2.0), "limit = 2.0"),
-        (lambda: load_vehicle("midsize-sedn"), "no vehicle is named 'midsize-sedn'. Did you mean 'midsize-sedan'"),
-        (lambda: load_tyre("passanger-car"), "Did you mean 'passenger-car'"),
-        (lambda: load_vehicle(3), "= 3: must be text or a path"),
-    ])  # fmt: skip
-    def test_impossible_tyres_steering_and_names_are_refused(self, make, words):
-        with pytest.raises((InvalidInput, UnknownName), match=words):
-            make()
 
 
 class TestSteadyTurn:
@@ -258,7 +219,7 @@ class TestSteadyTurn:
         assert vehicle.understeer_gradient == pytest.approx(front - rear, rel=1e-9, abs=1e-12)
 
     def test_an_understeering_car_has_its_largest_yaw_gain_at_the_characteristic_speed(self):
-        vehicle = load_vehicle("paper")
+        vehicle = at.load_vehicle("paper")
         top = vehicle.characteristic_speed
         gain = vehicle.steady_state_yaw_gain
         assert vehicle.critical_speed == math.inf
@@ -269,9 +230,6 @@ class TestSteadyTurn:
         vehicle = car(stiffness_front=60e3, stiffness_rear=30e3)
         critical = vehicle.critical_speed
         assert vehicle.characteristic_speed == math.inf
-        for vx in (-1.0, math.nan, math.inf, 1000.0):
-            with pytest.raises(InvalidInput, match="steady_state_yaw_gain: vx = "):
-                vehicle.steady_state_yaw_gain(vx)
         assert np.linalg.eigvals(lateral_matrices(vehicle, 0.99 * critical)[0]).real.max() < 0
         assert np.linalg.eigvals(lateral_matrices(vehicle, 1.01 * critical)[0]).real.max() > 0
 
@@ -310,7 +268,7 @@ class TestPackPlant:
             kind="magic-formula", stiffness_load="digressive", digressive_load_ratio=2.2, shape=1.36,
             curvature=-0.4, friction_load_sensitivity=0.17, relaxation_length=0.45,
         )  # fmt: skip
-        return vehicle, slick, SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
+        return vehicle, slick, at.SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
 
     def test_each_number_reaches_its_own_slot(self):
         from adaptrack.core.models.car import PLANT_PARAMETERS
@@ -325,7 +283,7 @@ class TestPackPlant:
             if name in OTHER_SLOTS:
                 expected = OTHER_SLOTS[name](vehicle, slick, actuator)
             else:
-                expected = getattr(slick if name in Tyre.model_fields else vehicle, name)
+                expected = getattr(slick if name in at.Tyre.model_fields else vehicle, name)
             assert value == expected, name
 
     @pytest.mark.parametrize("kind", ["vehicle", "tyre", "actuator"])
@@ -349,14 +307,14 @@ class TestPage:
         return (project / "docs" / "vehicles.md").read_text(encoding="utf-8")
 
     def test_the_page_names_every_shipped_car_and_tyre(self, page):
-        assert [name for name in (*list_vehicles(), *list_tyres()) if f"**`{name}`**" not in page] == []
+        assert [name for name in (*at.list_vehicles(), *at.list_tyres()) if f"**`{name}`**" not in page] == []
 
     def test_the_refusal_shown_on_the_page_is_the_real_one(self, page, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         text = OWN_CAR.replace("mass = 1500", "mass = -1500.0").replace("yaw_inertia", "yaw_inertai")
         Path("my-car.toml").write_text(text)
-        with pytest.raises(ConfigError) as caught:
-            load_vehicle("my-car.toml")
+        with pytest.raises(at.ConfigError) as caught:
+            at.load_vehicle("my-car.toml")
         assert sorted(str(caught.value).splitlines()) == sorted(
             re.findall(r"```text\n(.*?)\n```", page, re.DOTALL)[0].splitlines()
         )
@@ -369,35 +327,36 @@ class TestOwnFiles:
         return path
 
     def test_six_numbers_make_a_car_by_any_path(self, tmp_path, monkeypatch):
-        vehicle = load_vehicle(self.write(tmp_path, OWN_CAR))
+        vehicle = at.load_vehicle(self.write(tmp_path, OWN_CAR))
         assert (vehicle.name, vehicle.mass) == ("mine", 1500)
-        assert vehicle.tyre in list_tyres()
+        assert vehicle.tyre in at.list_tyres()
         monkeypatch.chdir(tmp_path)
         (tmp_path / "windows.toml").write_bytes(b"\xef\xbb\xbf" + OWN_CAR.replace("\n", "\r\n").encode())
-        assert load_vehicle("windows.toml") == vehicle.replace(name="windows")
-        assert load_vehicle("mine.toml") == load_vehicle(tmp_path / "mine.toml") == load_vehicle("./mine.toml")
+        assert at.load_vehicle("windows.toml") == vehicle.replace(name="windows")
+        assert at.load_vehicle("mine.toml") == at.load_vehicle(tmp_path / "mine.toml") == at.load_vehicle("./mine.toml")
 
     def test_a_tyre_file_is_looked_for_beside_the_vehicle_file(self, tmp_path, monkeypatch):
         tyre().to_toml(tmp_path / "slick.toml")
         path = self.write(tmp_path, OWN_CAR + 'tyre = "slick.toml"')
         monkeypatch.chdir("/")
-        assert load_tyre(load_vehicle(path).tyre) == tyre()
+        assert at.load_tyre(at.load_vehicle(path).tyre) == tyre()
 
+    @settings(max_examples=20)
     @given(vehicle=cars, text=st.text(max_size=20))
     def test_any_vehicle_reads_back_equal_to_the_last_bit(self, vehicle, text, tmp_path_factory):
         path = tmp_path_factory.mktemp("any") / "any.toml"
         vehicle.replace(description=text).to_toml(path)
-        assert load_vehicle(path) == vehicle.replace(name="any", description=text)
+        assert at.load_vehicle(path) == vehicle.replace(name="any", description=text)
         assert re.search(r"^yaw_inertia = .*  # kg m\^2", path.read_text(), re.MULTILINE)
 
     def test_a_car_may_say_what_is_known_of_its_steering(self, tmp_path):
         path = self.write(tmp_path, OWN_CAR + "[steering]\nlag = 0.2\nratio = 15\n")
-        steering = load_vehicle(path).steering
+        steering = at.load_vehicle(path).steering
         assert (steering.lag, steering.ratio) == (0.2, 15.0)
         assert steering.dead_time is steering.rate is steering.limit is None
-        load_vehicle(path).to_toml(tmp_path / "copy.toml")
-        assert load_vehicle(tmp_path / "copy.toml").steering == steering
-        assert load_vehicle("paper").steering is None
+        at.load_vehicle(path).to_toml(tmp_path / "copy.toml")
+        assert at.load_vehicle(tmp_path / "copy.toml").steering == steering
+        assert at.load_vehicle("paper").steering is None
 
     @pytest.mark.parametrize(("line", "message"), [
         ("colour = 'red'", r"colour: unknown key. Known: 'air_density', .*'yaw_moment_slope'\."),
@@ -418,14 +377,14 @@ class TestOwnFiles:
     ])  # fmt: skip
     def test_an_impossible_line_is_named_with_file_key_value_and_remedy(self, tmp_path, line, message):
         path = self.write(tmp_path, OWN_CAR + line)
-        with pytest.raises(ConfigError, match=message) as caught:
-            load_vehicle(path)
+        with pytest.raises(at.ConfigError, match=message) as caught:
+            at.load_vehicle(path)
         assert str(caught.value).startswith(str(path))
 
     def test_all_problems_of_a_file_come_in_one_error(self, tmp_path):
         text = 'mas = 3\nyaw_inertia = -1\nlf = "a"\nlr = nan\ntyre = "x"\nstiffness_front = true\nbrake_front = 2'
-        with pytest.raises(ConfigError) as caught:
-            load_vehicle(self.write(tmp_path, text))
+        with pytest.raises(at.ConfigError) as caught:
+            at.load_vehicle(self.write(tmp_path, text))
         message = str(caught.value)
         assert "9 problems" in message
         assert "stiffness_rear: missing; give a finite number > 0" in message
@@ -451,25 +410,22 @@ class Drive(BaseModel):  # a plain pydantic model will do as well
 
 
 class TestTomlFiles:
-    @pytest.mark.parametrize(
-        ("data", "message"),
-        [
-            ({"shape": {"kind": "step"}}, r"f: shape.amplitude: missing; give a finite number > 0 \(m, height"),
-            ({"shape": {"kind": "step", "amplitud": 1, "amplitude": 1}}, r"shape.amplitud: unknown key. Did you mean"),
-            ({"shape": {"kind": "table", "values": [1, "2"]}}, r"shape.values\[1\] = '2': must"),
-            ({"shape": {"kind": "stepp", "amplitude": 1}}, r"shape.kind = 'stepp': unknown. Did you mean 'step'\?"),
-            ({"shape": {"amplitude": 1}}, r"shape.kind: missing"),
-            ({"shape": 3}, r"shape = 3: "),
-            ({}, r"f: shape: missing"),
-            ([1], r"f: expected a table of keys, got \[1\]"),
-            ({"shape": {"kind": "step", "amplitude": 1}, "steps": [{"amplitude": 1}, {"amplitude": 0}]},
-             r"steps\[1\].amplitude = 0: must be a finite number > 0"),
-            ({"shape": {"kind": "step", "amplitude": 1}, "repeat": 1.5}, r"repeat = 1.5: must be a whole number"),
-            ({"shape": {"kind": "step", "amplitude": "x" * 10_000}}, r"shape.amplitude = 'xxx"),
-        ],
-    )  # fmt: skip
+    @pytest.mark.parametrize(("data", "message"), [
+        ({"shape": {"kind": "step"}}, r"f: shape.amplitude: missing; give a finite number > 0 \(m, height"),
+        ({"shape": {"kind": "step", "amplitud": 1, "amplitude": 1}}, r"shape.amplitud: unknown key. Did you mean"),
+        ({"shape": {"kind": "table", "values": [1, "2"]}}, r"shape.values\[1\] = '2': must"),
+        ({"shape": {"kind": "stepp", "amplitude": 1}}, r"shape.kind = 'stepp': unknown. Did you mean 'step'\?"),
+        ({"shape": {"amplitude": 1}}, r"shape.kind: missing"),
+        ({"shape": 3}, r"shape = 3: "),
+        ({}, r"f: shape: missing"),
+        ([1], r"f: expected a table of keys, got \[1\]"),
+        ({"shape": {"kind": "step", "amplitude": 1}, "steps": [{"amplitude": 1}, {"amplitude": 0}]},
+         r"steps\[1\].amplitude = 0: must be a finite number > 0"),
+        ({"shape": {"kind": "step", "amplitude": 1}, "repeat": 1.5}, r"repeat = 1.5: must be a whole number"),
+        ({"shape": {"kind": "step", "amplitude": "x" * 10_000}}, r"shape.amplitude = 'xxx"),
+    ])  # fmt: skip
     def test_problems_in_nested_tables_are_named_by_their_place(self, data, message):
-        with pytest.raises(ConfigError, match=message) as caught:
+        with pytest.raises(at.ConfigError, match=message) as caught:
             build(Drive, data, "f")
         assert len(str(caught.value)) < 2000
 
@@ -481,3 +437,43 @@ class TestTomlFiles:
         assert read_toml(tmp_path / "f.toml") == data
         assert "a = 1  # kg, mass\n" in (tmp_path / "f.toml").read_text()
         assert dump_toml({}) == ""
+
+
+# -- pedal maps -------------------------------------------------------------------------------------------------------
+MAP = PedalMap(
+    speed=[0.0, 3.0, 20.0], throttle=[0.0, 0.1, 0.4, 1.0],
+    force=[[400.0, 400.0, 3000.0, 7000.0], [-300.0, -100.0, 2000.0, 5000.0], [-600.0, -500.0, 500.0, 2500.0]],
+    brake=[0.0, 0.1, 0.5, 0.9], brake_force=[0.0, 0.0, 4000.0, 10000.0],
+)  # fmt: skip
+BAND = COASTING_SHARE * 10000.0
+
+
+def test_pedals_of_a_force_give_the_force_but_in_the_band_below_coasting_where_they_coast() -> None:
+    for speed in (-1.0, 0.0, 1.5, 12.0, 30.0):
+        coasting, largest = MAP.force_at(0.0, 0.0, speed), MAP.force_at(1.0, 0.0, speed)
+        for force in np.linspace(coasting - 9000.0, largest, 300):
+            throttle, brake = MAP.positions(force, speed)
+            assert throttle * brake == 0.0
+            expected = coasting if coasting - BAND <= force < coasting else force
+            if not -2.0 * BAND < force - coasting < -BAND:
+                assert MAP.force_at(throttle, brake, speed) == pytest.approx(expected, abs=1e-6)
+        assert MAP.positions(1e6, speed) == (1.0, 0.0)
+        assert MAP.positions(-1e6, speed) == (0.0, 0.9)
+
+
+def test_hold_pressure_of_a_standing_car_is_a_brake_pedal_that_also_holds_its_creep() -> None:
+    throttle, brake = MAP.positions(0.0, 0.0, hold=1600.0)
+    assert throttle == 0.0
+    assert MAP.force_at(throttle, brake, 0.0) == pytest.approx(-1600.0)
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"throttle": [0.0, 10.0, 40.0, 100.0]}, "throttle must begin with 0 and end at most at 1"),
+    ({"speed": [0.0, 3.0, 3.0]}, "speed must begin .* rise from value to value"),
+    ({"force": MAP.force[:2]}, "a row for each speed"),
+    ({"force": [*MAP.force[:2], (0.0, 5.0, 4.0, 9.0)]}, "force at 20 m/s is 0, 5, 4, 9 N: .* none below"),
+    ({"brake_force": [0.0, 10.0]}, "brake_force is 0, 10 N: give a value for each position of brake"),
+])  # fmt: skip
+def test_a_table_that_is_no_map_is_refused_with_its_place(changes, message) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        MAP.replace(**changes)

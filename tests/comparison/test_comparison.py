@@ -1,25 +1,18 @@
 """Comparisons: their statistics, reference, best constant and contenders, and the seeds that they keep apart."""
 
-from __future__ import annotations
-
 import json
 import math
 
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
+import adaptrack as at
 from adaptrack.base.result import strict
 from adaptrack.base.statistics import BOOTSTRAP_RESAMPLES
-from adaptrack.cars.plant import SingleTrack
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison, ContenderRole
-from adaptrack.control.controllers import LQR, Tuning, UserController, get_controller, register_controller
-from adaptrack.control.scheduling import Constant, Guarded, Learned
 from adaptrack.core.scheduling import guard
-from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.simulate import simulate
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import RunSet, operating_point_runs
 from small_runs import CAR, HASTY, START, Rated, bowl, controller, lane_changes, run_set
@@ -80,13 +73,6 @@ def entered(**policies):
     return [Contender(name, policy) for name, policy in policies.items()]
 
 
-def test_a_reference_that_is_no_contender_and_a_name_given_twice_are_refused():
-    with pytest.raises(InvalidInput, match=r"'optimum'.*a, b"):
-        compare(Rated(bowl()), entered(a=START, b=HASTY), [1], "optimum")
-    with pytest.raises(InvalidInput, match="two have the same name"):
-        compare(Rated(bowl()), [Contender("a", START), Contender("a", HASTY)], [1], "a")
-
-
 def test_costs_and_failures_of_a_comparison_are_those_of_the_runs():
     rated = Rated(lambda row, run: math.inf if run < 2 and row[0] > 29 else row[0] * (1.0 + run))
     comparison = compare(rated, entered(a=START, b=HASTY), [5, 6], "a")
@@ -101,11 +87,11 @@ def test_costs_and_failures_of_a_comparison_are_those_of_the_runs():
 @pytest.mark.compiled
 def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_did():
     runs = run_set(lane_changes(8, 6.0))
-    narrow = Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
-    field = {"constant": START, "hasty": HASTY, "schedule": Constant(START), "narrow": narrow}
-    field["guarded"] = Guarded(narrow, START)
+    narrow = at.Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
+    field = {"constant": START, "hasty": HASTY, "schedule": at.Constant(START), "narrow": narrow}
+    field["guarded"] = at.Guarded(narrow, START)
     heard = []
-    comparison = compare(runs, entered(**field), [3, 4], "constant", progress=lambda *at: heard.append(at))
+    comparison = compare(runs, entered(**field), [3, 4], "constant", progress=lambda *report: heard.append(report))
     np.testing.assert_array_equal(comparison.costs["constant"], runs.costs(START, [3, 4]))
     for name in ("schedule", "narrow", "guarded"):
         np.testing.assert_array_equal(comparison.costs[name], comparison.costs["constant"])
@@ -126,8 +112,8 @@ def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_di
 @pytest.mark.compiled
 def test_the_search_for_the_optimum_and_the_comparison_mean_the_same_cost(rng):
     points = rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
-    searched = Objective(SingleTrack(CAR), controller(), "lane-change", "road", (3, 4), failure=RunSet.failure)
-    runs = operating_point_runs(SingleTrack(CAR), controller(), points)
+    searched = Objective(at.SingleTrack(CAR), controller(), "lane-change", "road", (3, 4), failure=RunSet.failure)
+    runs = operating_point_runs(at.SingleTrack(CAR), controller(), points)
     for tuning in (START.as_array(), np.array([40.0, 9.0, 1.0, 2e4])):
         costs = [searched.costs(point, tuning)[0] for point in points]
         np.testing.assert_allclose(runs.costs(tuning, [3, 4]), costs, rtol=1e-12)
@@ -150,20 +136,25 @@ def test_a_verdict_is_level_while_the_interval_holds_one(rng):
 
 
 # -- contenders -------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("name", "make"), [("lqr", LQR), ("", LQR), ("mine", START), (3, None)])
-def test_a_name_that_is_taken_and_a_maker_that_cannot_be_called_are_refused(name, make):
-    with pytest.raises(InvalidInput, match="register_controller"):
-        register_controller(name, make)
-
-
-@pytest.mark.parametrize("policy", ["nn", [1.0, 2.0], [[1.0, 2.0, 3.0, math.nan]], None], ids=str)
-def test_what_cannot_drive_is_no_contender(policy):
-    with pytest.raises(InvalidInput, match="'mine'"):
-        Contender("mine", policy)
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda: compare(Rated(bowl()), entered(a=START, b=HASTY), [1], "optimum"), r"'optimum'.*a, b"),
+    (lambda: compare(Rated(bowl()), [Contender("a", START), Contender("a", HASTY)], [1], "a"), "two have the same"),
+    (lambda: at.register_controller("lqr", at.LQR), "register_controller"),
+    (lambda: at.register_controller("", at.LQR), "register_controller"),
+    (lambda: at.register_controller("mine", START), "register_controller"),
+    (lambda: at.register_controller(3, None), "register_controller"),
+    (lambda: Contender("mine", "nn"), "'mine'"),
+    (lambda: Contender("mine", [1.0, 2.0]), "'mine'"),
+    (lambda: Contender("mine", [[1.0, 2.0, 3.0, math.nan]]), "'mine'"),
+    (lambda: Contender("mine", None), "'mine'"),
+])  # fmt: skip
+def test_what_makes_no_contender_and_no_comparison_is_refused(call, words):
+    with pytest.raises(at.InvalidInput, match=words):
+        call()
 
 
 def test_who_adapts_is_told_from_the_policy():
-    speed = Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
+    speed = at.Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
     assert not Contender("a", START).adapts
     assert not Contender("a", speed).adapts, "the same numbers everywhere"
     assert not Contender("a", controller()).adapts
@@ -183,7 +174,7 @@ def proportional(situation, reference, road, tuning, parameters, memory, answer)
 
 def owned(runs):
     tuning = {"offset_gain": 0.02, "yaw_gain": 0.5}
-    return UserController(proportional, tuning=tuning, period=runs.mpc.period, label="proportional")
+    return at.UserController(proportional, tuning=tuning, period=runs.mpc.period, label="proportional")
 
 
 NAMES = ("lqr", "pure-pursuit", "stanley")
@@ -192,13 +183,16 @@ NAMES = ("lqr", "pure-pursuit", "stanley")
 @pytest.mark.compiled
 def test_registered_controllers_and_a_compiled_one_of_ones_own_cost_what_simulate_says():
     runs = run_set(lane_changes(2, 3.0))
-    laws = {name: get_controller(name, CAR, profile="road", optional={"period": runs.mpc.period}) for name in NAMES}
-    entered = [Contender("standard", Tuning()), *(Contender(name, law) for name, law in laws.items())]
+    laws = {name: at.get_controller(name, CAR, profile="road", optional={"period": runs.mpc.period}) for name in NAMES}
+    entered = [Contender("standard", at.Tuning()), *(Contender(name, law) for name, law in laws.items())]
     entered.append(Contender("mine", owned(runs)))
     comparison = compare(runs, entered, [3, 4], "standard")
     for name, policy in ((contender.name, contender.policy) for contender in entered[1:]):
         costs = [
-            [compute_metrics(simulate(runs.plant, policy, scenario, profile="road", seed=seed)).cost for seed in (3, 4)]
+            [
+                at.compute_metrics(at.simulate(runs.plant, policy, scenario, profile="road", seed=seed)).cost
+                for seed in (3, 4)
+            ]
             for scenario in runs.scenarios
         ]
         np.testing.assert_allclose(comparison.costs[name], np.mean(costs, axis=1), rtol=1e-9, err_msg=name)

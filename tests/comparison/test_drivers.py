@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.comparison import run as study
 from adaptrack.comparison.config import ComparisonConfig
 from adaptrack.comparison.run import run_comparison
@@ -18,11 +17,10 @@ from adaptrack.core.public import GRAVITY
 from adaptrack.drive import drivers
 from adaptrack.drive.drivers import check_forces, list_drivers, make_driver, register_driver
 from adaptrack.drive.speed_measures import STOP_DISTANCE, speed_measures
-from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
-from adaptrack.drive.world import Driver
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS
 from adaptrack.results.compare import DRIVER_COLUMNS, compare_drivers_result
 from adaptrack.results.page import render_result
-from adaptrack.road import Arc, Line, Road, Stop, plan_speed
+from adaptrack.road import Arc, Line, Stop
 from adaptrack.road.speed import constant_speed
 
 CAR = at.load_vehicle("midsize-sedan")
@@ -36,7 +34,7 @@ TINY: dict[str, Any] = {
 # -- names and options ------------------------------------------------------------------------------------------------
 def test_a_driver_is_made_by_its_name_with_its_options():
     assert make_driver("prescribed", CAR) is None
-    assert make_driver("driver:guard=0.5", CAR) == Driver(guard=0.5)
+    assert make_driver("driver:guard=0.5", CAR) == at.Driver(guard=0.5)
     expected = at.SpeedControl(CAR, friction=(0.6, 0.9), governor=0.8)
     assert make_driver("speed-control:friction=0.6:0.9,governor=0.8", CAR) == expected
 
@@ -50,22 +48,22 @@ def test_a_driver_is_made_by_its_name_with_its_options():
     ({"frictions": [0.0]}, "greater than 0"),
 ])  # fmt: skip
 def test_a_driver_that_is_not_possible_is_refused_with_the_reason(changes: dict[str, Any], words: str):
-    with pytest.raises(AdaptrackError, match=words):
+    with pytest.raises(at.AdaptrackError, match=words):
         ComparisonConfig(**{**TINY, **changes})
 
 
 def test_drivers_need_a_road_and_a_plant_that_forces_move(monkeypatch: pytest.MonkeyPatch):
-    with pytest.raises(InvalidInput, match="need roads, not scenarios"):
+    with pytest.raises(at.InvalidInput, match="need roads, not scenarios"):
         run_comparison(ComparisonConfig(**{**TINY, "drivers": ["driver"], "roads": ["random-drive:1"]}))
     check_forces(at.DualTrack(CAR))
     check_forces(at.SingleTrack(CAR))
     monkeypatch.setattr(at.SingleTrack, "derivative", lambda plant, x, u, environment: np.zeros(6))
-    with pytest.raises(InvalidInput, match="'single-track': its right-hand side ignores the force"):
+    with pytest.raises(at.InvalidInput, match="'single-track': its right-hand side ignores the force"):
         check_forces(at.SingleTrack(CAR))
 
 
 # -- measures ---------------------------------------------------------------------------------------------------------
-def motion(speed: np.ndarray, **changes: Any) -> Trajectory:
+def motion(speed: np.ndarray, **changes: Any) -> at.Trajectory:
     """A run along a road with a speed at each control instant (m/s)."""
     n = len(speed)
     shapes = {column.name: (n, len(column.parts)) if column.parts else (n,) for column in TRAJECTORY_COLUMNS}
@@ -73,11 +71,11 @@ def motion(speed: np.ndarray, **changes: Any) -> Trajectory:
     station = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * PERIOD)])
     arrays |= {"t": PERIOD * np.arange(n), "vx": speed} | changes
     zeros = np.zeros(n)
-    return Trajectory(**arrays, period=PERIOD, road={"station": station, "offset": zeros, "heading_error": zeros})
+    return at.Trajectory(**arrays, period=PERIOD, road={"station": station, "offset": zeros, "heading_error": zeros})
 
 
 def test_a_car_that_is_a_tenth_slower_than_its_plan_loses_a_tenth_of_the_way_and_of_the_time():
-    road = Road.from_segments([Line(length=1000.0)], name="straight")
+    road = at.Road.from_segments([Line(length=1000.0)], name="straight")
     drive = at.RoadDrive(road, constant_speed(road, 20.0))
     measures = speed_measures(motion(np.full(801, 18.0)), drive.road, drive.plan)
     assert measures["way_driven"] == pytest.approx(0.9)
@@ -89,7 +87,7 @@ def test_a_car_that_is_a_tenth_slower_than_its_plan_loses_a_tenth_of_the_way_and
 
 
 def test_the_used_grip_on_a_circle_is_the_acceleration_over_the_true_friction():
-    road = Road.from_segments([Arc(length=300.0, curvature=0.01)], name="bend").replace(friction=0.6)
+    road = at.Road.from_segments([Arc(length=300.0, curvature=0.01)], name="bend").replace(friction=0.6)
     drive = at.RoadDrive(road, constant_speed(road, 15.0))
     t = PERIOD * np.arange(200)
     run = motion(15.0 + 0.5 * t, lateral_acceleration=np.full(200, 3.0))
@@ -99,8 +97,8 @@ def test_the_used_grip_on_a_circle_is_the_acceleration_over_the_true_friction():
 
 @pytest.mark.parametrize(("distance", "error"), [(96.0, 4.0), (101.5, 1.5), (150.0, STOP_DISTANCE)])
 def test_the_stop_error_is_where_the_car_stood_and_a_stop_that_was_passed_counts_fully(distance: float, error: float):
-    road = Road.from_segments([Line(length=300.0)], name="straight")
-    drive = at.RoadDrive(road, plan_speed(road, CAR, stops=[Stop(100.0, 2.0)], top_speed=10.0))
+    road = at.Road.from_segments([Line(length=300.0)], name="straight")
+    drive = at.RoadDrive(road, at.plan_speed(road, CAR, stops=[Stop(100.0, 2.0)], top_speed=10.0))
     braking = 10.0 - 2.0 * PERIOD * np.arange(101)
     speed = np.concatenate([np.full(round((distance - 25.0) / 10.0 / PERIOD) + 1, 10.0), braking[1:], np.zeros(40)])
     assert speed_measures(motion(speed), drive.road, drive.plan)["stop_error"] == pytest.approx(error, abs=0.01)

@@ -6,20 +6,15 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
+import adaptrack as at
 from adaptrack.cars.outline import Outline
-from adaptrack.cars.plant import get_plant
-from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison import entry_speed, lane_change
-from adaptrack.control.controllers import get_controller
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.drive.simulate import rollout
-from adaptrack.road import Line, Road
-from adaptrack.scenario.profile import load_profile
+from adaptrack.road import Line
 
 BOX = Outline(front=2.0, rear=2.0, width=1.8)
 LANE = lane_change.Track("lane", (lane_change.Gate(0.0, 10.0, -1.5, 1.5),))
-ROAD = Road.from_segments([Line(length=150.0)], start=(-50.0, 0.0, 0.0))
+ROAD = at.Road.from_segments([Line(length=150.0)], start=(-50.0, 0.0, 0.0))
 
 
 def straight(y, heading=0.0):
@@ -68,7 +63,7 @@ class TestLaneChange:
     @pytest.mark.parametrize("make", [lane_change.iso_3888_1, lane_change.iso_3888_2])
     @pytest.mark.parametrize("car", ["compact-ev", "van"])
     def test_along_its_road_the_body_passes_all_gates_with_the_room_asked_for(self, make, car):
-        outline = load_vehicle(car).outline
+        outline = at.load_vehicle(car).outline
         track = make(outline.width)
         road = lane_change.track_road(track, outline, room=0.1)
         s = np.linspace(0.0, road.length, 1500)
@@ -83,7 +78,7 @@ class TestLaneChange:
         assert left == pytest.approx(track.gates[0].left, abs=1e-3)
 
     def test_off_the_throttle_the_planned_speed_falls_as_that_of_a_plant(self):
-        car = load_vehicle("van")
+        car = at.load_vehicle("van")
         track = lane_change.iso_3888_2(car.outline.width)
         plan = lane_change.coasting_plan(track, ROAD, car, 20.0)
         assert plan.at([0.0, 49.0]) == pytest.approx(20.0)
@@ -100,16 +95,16 @@ class TestLaneChange:
         (lambda: lane_change.iso_3888_1(0), "width = 0"),
         (lambda: lane_change.scan_speeds(lambda speed: None, [2.0, 1.0]), "must increase"),
         (lambda: lane_change.clearance(LANE, BOX, *straight(0.0)[:2], [0.0]), "n >= 2"),
-        (lambda: lane_change.coasting_plan(LANE, ROAD, load_vehicle("van"), 3.0), "stops before the end"),
+        (lambda: lane_change.coasting_plan(LANE, ROAD, at.load_vehicle("van"), 3.0), "stops before the end"),
         (lambda: entry_speed.tune_for_track(None, "mine", None, 12.0), "no search"),
     ])  # fmt: skip
     def test_impossible_input_is_refused(self, make, words):
-        with pytest.raises(InvalidInput, match=words):
+        with pytest.raises(at.InvalidInput, match=words):
             make()
 
     @pytest.mark.parametrize("car", ["compact-ev", "van"])
     def test_a_line_for_a_speed_leaves_more_room_the_slower_and_bends_less_the_faster(self, car):
-        car = load_vehicle(car)
+        car = at.load_vehicle(car)
         track = lane_change.iso_3888_2(car.outline.width)
         result = {}
         for speed in (10.0, 14.0, 20.0):
@@ -150,14 +145,14 @@ class TestLaneChange:
 
 @pytest.fixture(scope="module")
 def obstacle():
-    car = load_vehicle("compact-ev")
-    profile = load_profile("road")
+    car = at.load_vehicle("compact-ev")
+    profile = at.load_profile("road")
     track = lane_change.iso_3888_2(car.outline.width)
-    return entry_speed.LaneChangeTest(car, get_plant("dual-track", car), track, profile)
+    return entry_speed.LaneChangeTest(car, at.get_plant("dual-track", car), track, profile)
 
 
 def driver_of(test, name):
-    return get_controller(name, test.car, profile=test.profile, period=test.profile.period, preview=True)
+    return at.get_controller(name, test.car, profile=test.profile, period=test.profile.period, preview=True)
 
 
 @pytest.mark.compiled
@@ -175,7 +170,7 @@ class TestEntrySpeed:
         together = obstacle.drive(stanley, 12.0, tunings, (0, 1))
         alone = obstacle.drive(stanley, 12.0, tunings[17:18], (1,))
         assert np.array_equal(together[17, 1], alone[0, 0], equal_nan=True)
-        slow = rollout(obstacle.plant, stanley, obstacle.entering_at(12.0), profile=obstacle.profile, seed=1)
+        slow = at.rollout(obstacle.plant, stanley, obstacle.entering_at(12.0), profile=obstacle.profile, seed=1)
         default = obstacle.drive(stanley, 12.0, stanley.packed_tuning()[None], (1,))[0, 0]
         assert np.array_equal(default[::5, 1], slow.Y)
 

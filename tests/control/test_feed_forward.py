@@ -1,28 +1,20 @@
 """The moves that a curved road asks for, from which the MPC's free moves are counted."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
-from adaptrack.cars.plant import SingleTrack
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import MPC, Tuning
-from adaptrack.control.models import PathModel
+import adaptrack as at
 from adaptrack.core.controllers.feed_forward import FeedForward, bend_size, road_moves
 from adaptrack.core.layout import allocate
-from adaptrack.drive.simulate import rollout
-from adaptrack.road import Arc, Clothoid, Line, Road
-from adaptrack.road.road_ahead import RoadAhead
-from adaptrack.scenario import RoadDrive
+from adaptrack.road import Arc, Clothoid, Line
 
 pytestmark = pytest.mark.kernels
 
-CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
+CAR, SEDAN = at.load_vehicle("paper"), at.load_vehicle("midsize-sedan")
 PERIOD = 0.05
-STRAIGHT = Road.from_segments([Line(length=500.0)], name="straight")
+STRAIGHT = at.Road.from_segments([Line(length=500.0)], name="straight")
 
 
 def winding(count):
@@ -39,7 +31,7 @@ def turning_of(model, tyres=(0.0, 0.0)):
 
 
 def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
-    settings = MPC(model.vehicle, period=model.period).settings()._replace(move_min=-most, move_max=most)
+    settings = at.MPC(model.vehicle, period=model.period).settings()._replace(move_min=-most, move_max=most)
     turning = turning_of(model, tyres)
     feed = allocate(FeedForward, {"turning": turning.size, "road_moves": count + 1})
     feed.turning[:] = turning
@@ -52,7 +44,7 @@ def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
 @pytest.mark.parametrize("lag", [0.0, 0.2])
 def test_a_car_that_obeys_the_model_and_is_steered_by_them_alone_follows_the_road(car, speed, lag):
     """In lateral acceleration, to first order in its rate: after the beginning, within 5 % of the largest."""
-    model, count = PathModel(car, PERIOD, lag), 160
+    model, count = at.PathModel(car, PERIOD, lag), 160
     bend = winding(bend_size(count, PERIOD, len(turning_of(model)), lag))
     a, b, c = model.discrete(speed)
     x, command, y = np.zeros(model.n), 0.0, [0.0]
@@ -67,9 +59,9 @@ def test_a_car_that_obeys_the_model_and_is_steered_by_them_alone_follows_the_roa
 
 def test_a_clothoid_asks_for_the_steady_angle_of_its_growing_curvature():
     """dkappa/ds = 1e-4 1/m^2: the angle (L + K v^2) kappa grows by (L + K v^2) 1e-4 v T a period."""
-    road = Road.from_segments([Clothoid(length=400.0, start_curvature=0.0, end_curvature=0.04)], name="clothoid")
-    speed, model = 10.0, PathModel(CAR, PERIOD, 0.1)
-    bend = RoadAhead(road, 100.0, [speed]).bend(60, speed, 0.0, PERIOD)
+    road = at.Road.from_segments([Clothoid(length=400.0, start_curvature=0.0, end_curvature=0.04)], name="clothoid")
+    speed, model = 10.0, at.PathModel(CAR, PERIOD, 0.1)
+    bend = at.RoadAhead(road, 100.0, [speed]).bend(60, speed, 0.0, PERIOD)
     wheelbase, understeer = model.turning()[:2]
     growth = (wheelbase + understeer * speed**2) * 1e-4 * speed * PERIOD
     np.testing.assert_allclose(moves_of(model, speed, bend, 20).mean(), growth, rtol=0.02)
@@ -78,7 +70,7 @@ def test_a_clothoid_asks_for_the_steady_angle_of_its_growing_curvature():
 def test_the_steady_angle_is_that_of_the_model():
     """y'' of the model in a steady turn at one radian is v^2/(L + K v^2)."""
     for speed in (3.0, 15.0, 30.0):
-        model = PathModel(SEDAN, 0.01)
+        model = at.PathModel(SEDAN, 0.01)
         a, b, c = model.discrete(speed)
         x, y = np.zeros(model.n), []
         for _ in range(1000):
@@ -91,9 +83,9 @@ def test_the_steady_angle_is_that_of_the_model():
 
 def test_tyres_that_slide_ask_for_more_angle():
     """The Magic Formula with E = 0 in a steady turn at f = a/(mu g): K a C tan(asin(f)/C)/f instead of K a."""
-    road = Road.from_segments([Line(length=20.0), Arc(length=200.0, curvature=0.02)], name="bend")
-    speed, friction, shape, model = 17.0, 0.9, 1.3, PathModel(CAR, PERIOD)
-    bend = RoadAhead(road, 10.0, [speed]).bend(70, speed, 0.0, PERIOD)
+    road = at.Road.from_segments([Line(length=20.0), Arc(length=200.0, curvature=0.02)], name="bend")
+    speed, friction, shape, model = 17.0, 0.9, 1.3, at.PathModel(CAR, PERIOD)
+    bend = at.RoadAhead(road, 10.0, [speed]).bend(70, speed, 0.0, PERIOD)
     linear, sliding = moves_of(model, speed, bend, 55, tyres=(friction, shape)).sum(axis=1)
     share = 0.02 * speed**2 / (friction * 9.80665)
     extra = model.turning()[1] * 0.02 * speed**2 * (shape * math.tan(math.asin(share) / shape) / share - 1.0)
@@ -105,7 +97,7 @@ def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
     """A step of the wheels in the middle becomes a ramp about it, with the same sum."""
     t = PERIOD * np.arange(80)
     bend = np.where(t > 1.5, 0.5 * 3.0 * (t - 1.5) ** 2, 0.0)  # from straight to 3 m/s^2
-    model = PathModel(CAR, PERIOD)
+    model = at.PathModel(CAR, PERIOD)
     free, slow = (moves_of(model, 10.0, bend, 60, most=limit) for limit in (1.0, 0.005))
     assert np.abs(slow).max() <= 0.005 + 1e-12
     assert slow.sum() == pytest.approx(free.sum(), rel=1e-9)
@@ -115,16 +107,18 @@ def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
 
 def test_a_straight_road_gives_the_problem_of_none():
     state, reference = [0.1, 0.01, 0.02, 0.3, 0.01], np.linspace(0.0, 1.0, 40)
-    plain = MPC(CAR, profile="road").problem(state, 15.0, reference)
-    there = MPC(CAR, profile="road").problem(state, 15.0, reference, road=RoadAhead(STRAIGHT, 100.0, [15.0]))
+    plain = at.MPC(CAR, profile="road").problem(state, 15.0, reference)
+    there = at.MPC(CAR, profile="road").problem(state, 15.0, reference, road=at.RoadAhead(STRAIGHT, 100.0, [15.0]))
     for name in ("E", "K", "M", "gamma"):
         assert (getattr(plain, name) == getattr(there, name)).all(), name
 
 
 def test_limits_hold_for_the_whole_move_of_a_bend():
     """The free moves get what the road's leave of the limits."""
-    mpc = MPC(CAR, profile="road")
-    ahead = RoadAhead(Road.from_segments([Line(length=5.0), Arc(length=60.0, curvature=0.08)], name="bend"), 0.0, [8.0])
+    mpc = at.MPC(CAR, profile="road")
+    ahead = at.RoadAhead(
+        at.Road.from_segments([Line(length=5.0), Arc(length=60.0, curvature=0.08)], name="bend"), 0.0, [8.0]
+    )
     state = [0.0, 0.0, 0.0, 0.0, 0.0]
     problem = mpc.problem(state, 8.0, [0.0], road=ahead)
     mpc.step(state, 8.0, [0.0], road=ahead)
@@ -139,7 +133,7 @@ def test_limits_hold_for_the_whole_move_of_a_bend():
 
 @pytest.mark.compiled
 def test_a_long_horizon_with_few_free_moves_does_not_cut_bends(monkeypatch):
-    road = Road.from_segments(
+    road = at.Road.from_segments(
         [
             Line(length=60.0), Clothoid(length=20.0, start_curvature=0.0, end_curvature=0.04),
             Arc(length=40.0, curvature=0.04), Clothoid(length=20.0, start_curvature=0.04, end_curvature=0.0),
@@ -148,9 +142,9 @@ def test_a_long_horizon_with_few_free_moves_does_not_cut_bends(monkeypatch):
     )  # fmt: skip
 
     def largest_error():
-        mpc = MPC(CAR, profile="paper", period=PERIOD, tuning=Tuning(60, 3, 1.0, 1.0), preview=True)
-        return np.abs(rollout(SingleTrack(CAR, "constant-stiffness"), mpc, RoadDrive(road, 9.0)).error).max()
+        mpc = at.MPC(CAR, profile="paper", period=PERIOD, tuning=at.Tuning(60, 3, 1.0, 1.0), preview=True)
+        return np.abs(at.rollout(at.SingleTrack(CAR, "constant-stiffness"), mpc, at.RoadDrive(road, 9.0)).error).max()
 
     knowing = largest_error()
-    monkeypatch.setattr(PathModel, "turning", lambda self: np.zeros(0))
+    monkeypatch.setattr(at.PathModel, "turning", lambda self: np.zeros(0))
     assert knowing < 0.15 * largest_error()

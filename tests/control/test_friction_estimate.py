@@ -8,16 +8,17 @@ import math
 import numpy as np
 import pytest
 
+import adaptrack as at
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
-from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
+from adaptrack.cars.vehicle import pack_plant
 from adaptrack.control.controllers import command_of
-from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, friction_estimate
+from adaptrack.control.speed_control import SpeedCommand, SpeedController, friction_estimate
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed import friction as kernel
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
-from adaptrack.road import Arc, Comfort, Line, Road, generate_road, plan_speed
+from adaptrack.road import Arc, Comfort, Line
 
 CAR = load_vehicle("midsize-sedan")
 LOW, HIGH, PERIOD = 0.4, 1.0, 0.05
@@ -28,10 +29,10 @@ KNOWLEDGE = kernel.LearnedRow(
 
 
 def _estimate(low: float, high: float) -> kernel.FrictionEstimate:
-    actuator = SteeringActuator(lag=0.1, rate=1.0, limit=0.5)
+    actuator = at.SteeringActuator(lag=0.1, rate=1.0, limit=0.5)
     estimate = kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(7), np.zeros(8),
-        pack_plant(CAR, load_tyre(CAR.tyre), actuator), PERIOD,
+        pack_plant(CAR, at.load_tyre(CAR.tyre), actuator), PERIOD,
         np.array([math.inf, 1e-5, 0.01]), low, high, KNOWLEDGE,
     )  # fmt: skip
     kernel.begin_friction(estimate)
@@ -45,10 +46,10 @@ def _take_in(estimate: kernel.FrictionEstimate, **motion: float) -> tuple[float,
     return float(estimate.memory[0].low), float(estimate.memory[0].high)
 
 
-def _drive(friction: float, control: SpeedControl, seconds: float) -> SpeedController:
+def _drive(friction: float, control: at.SpeedControl, seconds: float) -> SpeedController:
     """The speed controller of a drive near the limit of the road for some seconds."""
-    road = generate_road("lap", 11, 1000.0).replace(speed_limit=None, friction=friction)
-    plan = plan_speed(road, CAR, Comfort(lateral=20.0, grip_share=0.95))
+    road = at.generate_road("lap", 11, 1000.0).replace(speed_limit=None, friction=friction)
+    plan = at.plan_speed(road, CAR, Comfort(lateral=20.0, grip_share=0.95))
     controller = MPC(CAR, profile="production")
     world = World.of(DualTrack(CAR), controller, "production", control, None, None)
     controller.reset()
@@ -68,7 +69,7 @@ def _drive(friction: float, control: SpeedControl, seconds: float) -> SpeedContr
 def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_roads() -> None:
     intervals = []
     for friction in (0.5, 0.9):
-        command = _drive(friction, SpeedControl(CAR, friction=(LOW, HIGH)), 20.0).command
+        command = _drive(friction, at.SpeedControl(CAR, friction=(LOW, HIGH)), 20.0).command
         assert command.friction_low <= friction <= command.friction_high
         intervals.append((command.friction_low, command.friction_high))
     slippery, dry = np.array(intervals)
@@ -79,18 +80,18 @@ def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_r
 
 @pytest.mark.compiled
 def test_a_certain_friction_stays() -> None:
-    controller = _drive(0.9, SpeedControl(CAR, friction=0.6), 10.0)
+    controller = _drive(0.9, at.SpeedControl(CAR, friction=0.6), 10.0)
     assert controller.command.friction_low == controller.command.friction_high == 0.6
     memory, settings = controller.record.memory[0], controller.record.settings
     assert memory.friction == memory.friction_high == memory.cautious_friction == settings.friction
 
 
 def test_caution_lowers_drive_forces_in_bends_and_spares_the_brakes() -> None:
-    road = Road.from_segments([Line(length=300.0)], name="straight")
-    plan, low = plan_speed(road, CAR, Comfort(), top_speed=14.0), 0.3
+    road = at.Road.from_segments([Line(length=300.0)], name="straight")
+    plan, low = at.plan_speed(road, CAR, Comfort(), top_speed=14.0), 0.3
 
     def force(speed: float, cautious: float, lateral: float = 0.0) -> float:
-        controller = SpeedController(SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
+        controller = SpeedController(at.SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
         memory = controller.record.memory[0]
         memory.friction, memory.friction_high, memory.cautious_friction, memory.lateral = low, 1.0, cautious, lateral
         return controller.step(20.0, speed, lateral / speed).force
@@ -103,9 +104,11 @@ def test_caution_lowers_drive_forces_in_bends_and_spares_the_brakes() -> None:
 
 
 def test_a_car_that_slides_gets_no_drive_force_and_is_slower_in_the_bends_of_the_next_seconds() -> None:
-    road = Road.from_segments([Arc(length=1000.0, curvature=0.01)], name="bend")
+    road = at.Road.from_segments([Arc(length=1000.0, curvature=0.01)], name="bend")
     friction, speed = 0.6, 22.0
-    controller = SpeedController(SpeedControl(CAR, friction=friction), road, plan_speed(road, CAR, Comfort()), PERIOD)
+    controller = SpeedController(
+        at.SpeedControl(CAR, friction=friction), road, at.plan_speed(road, CAR, Comfort()), PERIOD
+    )
     controller.record.path.square[:] = 30.0**2
 
     stations = itertools.count(20.0, speed * PERIOD)
@@ -125,12 +128,12 @@ def test_a_car_that_slides_gets_no_drive_force_and_is_slower_in_the_bends_of_the
 
 
 def test_a_car_that_sways_on_a_straight_accelerates_less_until_it_has_calmed() -> None:
-    road = Road.from_segments([Line(length=300.0)], name="straight")
-    plan = plan_speed(road, CAR, Comfort(), top_speed=16.0)
+    road = at.Road.from_segments([Line(length=300.0)], name="straight")
+    plan = at.plan_speed(road, CAR, Comfort(), top_speed=16.0)
     laterals = {"straight": [0.0] * 240, "sways": [0.0] * 20 + [4.0, -4.0] * 10 + [0.0] * 200}
     forces: dict[str, list[float]] = {name: [] for name in laterals}
     for name, values in laterals.items():
-        controller, station, speed = SpeedController(SpeedControl(CAR, friction=0.6), road, plan, PERIOD), 20.0, 10.0
+        controller, station, speed = SpeedController(at.SpeedControl(CAR, friction=0.6), road, plan, PERIOD), 20.0, 10.0
         for lateral in values:
             forces[name].append(controller.step(station, speed, lateral / speed).force)
             station, speed = station + PERIOD * speed, speed + PERIOD * forces[name][-1] / CAR.mass

@@ -1,7 +1,5 @@
 """What a loop says of its own inputs: sign, unit, frame, clock, sliding; and what it leaves behind as a record."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math
@@ -11,25 +9,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.cars.vehicle import Steering, load_vehicle
+import adaptrack as at
 from adaptrack.cli import main
-from adaptrack.control.controllers import MPC, BeliefState, Learning, Stanley
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
-from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.estimators.learning import BELIEF_NAMES
 from adaptrack.core.input_check.hypotheses import ABOUT, COMPARISON_TABLE, MISTAKE_TABLE, MISTAKES
 from adaptrack.core.tracker.signals import TrackerSample
 from adaptrack.identification.loop_check import check_loop
-from adaptrack.identification.reading import Reading, read_columns
-from adaptrack.road import Arc, Clothoid, Line, Road
+from adaptrack.identification.reading import read_columns
+from adaptrack.road import Arc, Clothoid, Line
 from foreign_loop import drive, on_road
 from tracker_calls import called_back
 
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 EASING = Clothoid(length=20.0, start_curvature=0.0, end_curvature=1 / 60)
-BEND = Road.from_segments(
+BEND = at.Road.from_segments(
     [Line(length=25.0), EASING, Arc(length=60.0, curvature=1 / 60), Clothoid(length=20.0, start_curvature=1 / 60,
      end_curvature=0.0), Line(length=30.0), Clothoid(length=20.0, start_curvature=0.0, end_curvature=-1 / 60),
      Arc(length=60.0, curvature=-1 / 60), Line(length=100.0)], name="bends",
@@ -38,7 +33,7 @@ DEGREES = 180.0 / math.pi
 
 
 def tracker(**more):
-    return Tracker(MPC(CAR, profile="road", belief=Steering(lag=0.15, dead_time=0.0, rate=0.5)), BEND, **more)
+    return at.Tracker(at.MPC(CAR, profile="road", belief=at.Steering(lag=0.15, dead_time=0.0, rate=0.5)), BEND, **more)
 
 
 class Wrong:
@@ -87,14 +82,14 @@ def test_a_wrong_input_is_named_before_the_car_is_a_metre_off_or_within_3_s(faul
 @pytest.mark.parametrize("seed", [1, 2])
 def test_honest_inputs_are_not_doubted(seed):
     """Late, jittered, lost, repeated and wrapped, with an offset of the yaw and noise of the speed."""
-    mpc = MPC(CAR, profile="road", belief="unknown", learning=Learning())
-    honest = Wrong(Tracker(mpc, BEND), replaced(3, lambda yaw: yaw + 0.01))
+    mpc = at.MPC(CAR, profile="road", belief="unknown", learning=at.Learning())
+    honest = Wrong(at.Tracker(mpc, BEND), replaced(3, lambda yaw: yaw + 0.01))
     driven = drive(
         honest, BEND, 15.0, car=on_road(BEND, s=2.0), jitter=(0.03, 0.07), missing=7, late=0.1, reorder=0.05, repeat=5,
         wrapped=True, noise=(0.03, 0.03, 0.003, 0.15, 0.01), seed=seed,
     )  # fmt: skip
     assert {told.suspect for _, told in driven.calls} == {()}
-    assert Status.SLIDING not in driven.statuses
+    assert at.Status.SLIDING not in driven.statuses
 
 
 class DelayedCommands:
@@ -110,15 +105,15 @@ class DelayedCommands:
 
 
 @pytest.mark.parametrize(
-    ("calls", "learning", "is_reported"), [(0, None, False), (3, None, True), (3, Learning(), False)]
+    ("calls", "learning", "is_reported"), [(0, None, False), (3, None, True), (3, at.Learning(), False)]
 )
 def test_a_specified_delay_that_driving_contradicts_is_reported_once_and_a_learned_one_never(
     calls, learning, is_reported, caplog
 ):
-    belief = Steering(lag=0.15, dead_time=0.0, rate=0.5)
-    mpc = MPC(CAR, profile="road", belief=belief, computation=0.05, learning=learning)
+    belief = at.Steering(lag=0.15, dead_time=0.0, rate=0.5)
+    mpc = at.MPC(CAR, profile="road", belief=belief, computation=0.05, learning=learning)
     with caplog.at_level(logging.WARNING, logger="adaptrack"):
-        run = drive(DelayedCommands(Tracker(mpc, BEND), calls), BEND, 20.0, car=on_road(BEND, s=2.0, speed=10.0))
+        run = drive(DelayedCommands(at.Tracker(mpc, BEND), calls), BEND, 20.0, car=on_road(BEND, s=2.0, speed=10.0))
     records = [record.message for record in caplog.records if "the specified steering delay" in record.message]
     assert len(records) == is_reported
     assert all(
@@ -130,19 +125,19 @@ def test_a_specified_delay_that_driving_contradicts_is_reported_once_and_a_learn
 def test_a_wrong_steering_sign_ends_the_steering_and_engaging_begins_anew():
     own = tracker()
     driven = drive(Wrong(own, command=-1.0), BEND, 4.0, car=on_road(BEND, s=20.0), wheel_angle=0.0)
-    held = [told for _, told in driven.calls if told.status is Status.HELD]
+    held = [told for _, told in driven.calls if told.status is at.Status.HELD]
     assert len(held) > 10
     assert held[-1].command == 0.0
     assert np.abs(np.diff([told.command for told in held])).max() < 0.5 * 0.05 + 1e-9
     own.engage()
     again = own.step(0.0, 25.0, 0.0, 0.0, 15.0, 0.0)
-    assert (again.status, again.suspect) == (Status.OK, ())
+    assert (again.status, again.suspect) == (at.Status.OK, ())
 
 
 def log_of_a_drive(path):
     with tracker(record=path) as own:
         drive(own, BEND, 15.0, car=on_road(BEND, s=2.0), wheel_angle=0.0, noise=(0.01, 0.01, 0.001, 0.0, 0.002))
-    return read_columns(path, Reading())
+    return read_columns(path, at.Reading())
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +190,7 @@ def slow_bends():
         for _ in range(10):
             car.step(command, 0.005)
     names = ("time", "command", "speed", "yaw_rate", "x", "y", "yaw")
-    return read_columns(dict(zip(names, np.array(rows).T, strict=True)), Reading())
+    return read_columns(dict(zip(names, np.array(rows).T, strict=True)), at.Reading())
 
 
 # -- poses that drift -------------------------------------------------------------------------------------------------
@@ -297,16 +292,16 @@ def test_neither_a_small_sideslip_nor_a_slow_car_slides():
 
 
 def test_a_tracker_says_that_the_car_slides():
-    own = Tracker(Stanley(CAR, period=0.05), Road.from_segments([Line(length=400.0)]))
+    own = at.Tracker(at.Stanley(CAR, period=0.05), at.Road.from_segments([Line(length=400.0)]))
     for k in range(80):
         slip = 3.0 if k >= 60 else 0.0
         told = own.step(0.05 * k, 0.75 * k, 0.05 * slip * max(k - 60, 0), 0.0, 15.0, 0.0, lateral_velocity=slip)
-        assert told.status is (Status.SLIDING if k >= 68 else Status.OK) or 60 <= k < 68
+        assert told.status is (at.Status.SLIDING if k >= 68 else at.Status.OK) or 60 <= k < 68
 
 
 # -- the belief -------------------------------------------------------------------------------------------------------
 def test_a_doubtful_belief_is_told_at_every_step_and_warned_of_once(monkeypatch, caplog):
-    own = Tracker(called_back(MPC(CAR, profile="road", belief="unknown", learning=Learning())), BEND)
+    own = at.Tracker(called_back(at.MPC(CAR, profile="road", belief="unknown", learning=at.Learning())), BEND)
     monkeypatch.setattr(
         own.controller, "step", lambda *given, step=own.controller.step, **more: step(*given, **more)._replace(
             learned=tuple(2.0 * (name == "belief_state") for name in BELIEF_NAMES)
@@ -314,7 +309,7 @@ def test_a_doubtful_belief_is_told_at_every_step_and_warned_of_once(monkeypatch,
     )  # fmt: skip
     with caplog.at_level(logging.WARNING, logger="adaptrack"):
         told = [own.step(0.05 * k, 0.75 * k, 0.0, 0.0, 15.0, 0.0).belief for k in range(4)]
-    assert told == [BeliefState.AT_BOUND] * 4
+    assert told == [at.BeliefState.AT_BOUND] * 4
     assert [record.message.count("at the end of its range") for record in caplog.records] == [1]
 
 
@@ -334,7 +329,7 @@ def test_a_killed_loop_leaves_what_it_had_and_the_next_one_puts_it_aside(tmp_pat
     assert not path.exists()
     killed._stream.close()
     Recorder(path).close()
-    left = read_columns(tmp_path / "loop-1.csv", Reading())
+    left = read_columns(tmp_path / "loop-1.csv", at.Reading())
     assert left.values["time"][-1] > 9.95 - 2.1
     assert path.exists()
     assert not (tmp_path / "loop.parquet.csv").exists()
@@ -347,7 +342,7 @@ def test_late_samples_stand_at_their_own_time_beside_the_command_that_was_in_for
         recorder.add(sampled(0.05 * k - age, 0.05 * k), 0.001 * k, 0.0)
     recorder.close()
     recorder.close()
-    log = read_columns(tmp_path / "loop.csv", Reading())
+    log = read_columns(tmp_path / "loop.csv", at.Reading())
     time, command = log.values["time"] - 0.15, log.values["command"]  # a log begins at 0
     assert np.all(np.diff(time) > 0.0)
     known = time >= 0.0
@@ -355,10 +350,10 @@ def test_late_samples_stand_at_their_own_time_beside_the_command_that_was_in_for
 
 
 def test_a_record_of_another_kind_or_place_is_refused(tmp_path):
-    with pytest.raises(InvalidInput, match=r"must end in \.parquet or \.csv"):
+    with pytest.raises(at.InvalidInput, match=r"must end in \.parquet or \.csv"):
         tracker(record=tmp_path / "loop.txt")
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="cannot be written"):
+    with pytest.raises(at.StorageError, match="cannot be written"):
         tracker(record=tmp_path / "file" / "loop.csv")
 
 
@@ -402,7 +397,7 @@ def test_wrong_units_are_found_in_a_log_without_positions():
     for speed in (8.0, 25.0):
         log = weaving(speed)
         for name, (factors, words) in UNITS.items():
-            columns = read_columns({n: values * factors.get(n, 1.0) for n, values in log.items()}, Reading())
+            columns = read_columns({n: values * factors.get(n, 1.0) for n, values in log.items()}, at.Reading())
             check = check_loop(columns)
             assert check.compared > 0
             assert [words in sentence for sentence in check.contradictions[:1]] == [True] * (words != ""), name
@@ -423,9 +418,9 @@ def weaving(speed):
 
 def test_a_steering_rate_in_degrees_is_refused_with_what_it_would_be():
     with pytest.raises(
-        InvalidInput, match=r"rate = 30: no road wheels turn at 30 rad/s.*degrees per second give 0\.52"
+        at.InvalidInput, match=r"rate = 30: no road wheels turn at 30 rad/s.*degrees per second give 0\.52"
     ):
-        Steering(rate=30)
+        at.Steering(rate=30)
 
 
 # -- the kernel -------------------------------------------------------------------------------------------------------

@@ -9,12 +9,11 @@ import pytest
 from scipy.signal import butter, lfilter
 
 import adaptrack as at
-from adaptrack.cars.vehicle import Steering
-from adaptrack.control.controllers.kinematic_mpc import AUTOWARE_WEIGHTS, KinematicMPC
+from adaptrack.control.controllers.kinematic_mpc import AUTOWARE_WEIGHTS
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.core.controllers.contract import planned_speed
-from adaptrack.road import Arc, Clothoid, Line, Road
-from adaptrack.road.road_ahead import RoadAhead, straight
+from adaptrack.road import Arc, Clothoid, Line
+from adaptrack.road.road_ahead import straight
 from references.daqp import Daqp
 from references.dense_mpc import kinematic_model, kinematic_problem
 from references.kinematic_mpc import cost, derivatives
@@ -22,14 +21,14 @@ from references.kinematic_mpc import cost, derivatives
 pytestmark = pytest.mark.kernels
 
 CAR = at.load_vehicle("midsize-sedan")
-LAGGING = Steering(lag=0.2, dead_time=0.12)
+LAGGING = at.Steering(lag=0.2, dead_time=0.12)
 WIDE = at.Limits(move=(-1.0, 1.0), angle=(-1.0, 1.0))
 TIGHT = at.Limits(move=(-0.01, 0.008), angle=(-0.05, 0.06))
 ODD = {name: 0.3 + 0.2 * i for i, name in enumerate(AUTOWARE_WEIGHTS)} | {
     "steering_acceleration": 1e-4,
     "steering_rate": 0.02,
 }
-BENDING = Road.from_segments(
+BENDING = at.Road.from_segments(
     [
         Line(length=20.0),
         Clothoid(length=30.0, start_curvature=0.0, end_curvature=0.02),
@@ -39,8 +38,8 @@ BENDING = Road.from_segments(
 )
 
 
-def make_controller(**options) -> KinematicMPC:
-    return KinematicMPC(CAR, **{"period": 0.05, "belief": LAGGING, "limits": WIDE, "cutoff": 0.0, **options})
+def make_controller(**options) -> at.KinematicMPC:
+    return at.KinematicMPC(CAR, **{"period": 0.05, "belief": LAGGING, "limits": WIDE, "cutoff": 0.0, **options})
 
 
 # -- the quadratic programme -------------------------------------------------------------------------------------------
@@ -68,7 +67,7 @@ def test_the_limits_of_the_dense_problem_are_those_of_angle_and_rate(rng):
         assert is_within == np.all(problem.M @ u <= problem.gamma)
 
 
-def roll_through_dead_time(controller: KinematicMPC, pose, commands: list[float], road) -> np.ndarray:
+def roll_through_dead_time(controller: at.KinematicMPC, pose, commands: list[float], road) -> np.ndarray:
     """The state at the end of the dead time; commands: all given so far; road: of speed and curvature, by time (s)."""
     period, late, lag = controller.period, controller.belief.delay, controller.belief.lag.value
     start = -controller.pose_age
@@ -123,14 +122,14 @@ def test_on_a_bend_every_stage_has_its_own_curvature_and_planned_speed():
     places = place[0] + 0.1 * np.concatenate([[0.0], np.cumsum(stages)[:-1]])
     problem = kinematic_problem(controller, state, np.array(stages), np.array([curvature(s) for s in places]))
     expected = np.linalg.solve(problem.E, -problem.K)
-    ahead = RoadAhead(BENDING, station, speeds)
+    ahead = at.RoadAhead(BENDING, station, speeds)
     answer = controller.step([0.0, pose[0], 0.0, pose[1]], speed, np.zeros(100), road=ahead)
     assert np.all(problem.M @ expected < problem.gamma)
     assert answer.angle == pytest.approx(expected[0], abs=1e-8)
 
 
 def test_the_speeds_of_a_plan_are_shifted_to_the_present_one_and_its_last_one_holds():
-    find, road = planned_speed, RoadAhead(BENDING, 0.0, np.array([10.0, 12.0, 8.0])).packed
+    find, road = planned_speed, at.RoadAhead(BENDING, 0.0, np.array([10.0, 12.0, 8.0])).packed
     assert [find(road, t, 11.0, 0.1) for t in (-0.2, 0.0, 0.15, 0.2, 5.0)] == [11.0, 11.0, 13.0, 9.0, 9.0]
     assert find(road, 0.2, 2.0, 0.1) == 1.0  # no slower than walking
     assert find(straight(), 5.0, 7.0, 0.1) == 7.0
@@ -141,14 +140,16 @@ def test_the_speeds_of_a_plan_are_shifted_to_the_present_one_and_its_last_one_ho
 @pytest.mark.parametrize("radius", [20.0, -50.0])
 def test_in_the_kinematic_turn_it_keeps_the_ackermann_angle(radius, lag):
     """The centre of mass on the circle, the car turned against its tangent by l_r/R: nothing is left to correct."""
-    ring = Road.from_segments(
+    ring = at.Road.from_segments(
         [Arc(length=abs(radius) * 2.0 * math.pi, curvature=1.0 / radius)], name="ring", closed=True
     )
-    controller = make_controller(belief=Steering(lag=lag, dead_time=0.12), preview=True, limits=None, cutoff=3.0)
+    controller = make_controller(belief=at.Steering(lag=lag, dead_time=0.12), preview=True, limits=None, cutoff=3.0)
     angle = math.atan(CAR.wheelbase / radius)
     controller.applied(angle)
     for _ in range(5):
-        answer = controller.step([0.0, -CAR.lr / radius, 0.0, 0.0], 6.0, np.zeros(1), road=RoadAhead(ring, 40.0, [6.0]))
+        answer = controller.step(
+            [0.0, -CAR.lr / radius, 0.0, 0.0], 6.0, np.zeros(1), road=at.RoadAhead(ring, 40.0, [6.0])
+        )
         assert answer.angle == pytest.approx(angle, abs=1e-9)
 
 
@@ -158,7 +159,7 @@ def test_told_of_the_dead_time_it_damps_a_car_that_it_cannot_hold_without():
 
     def last_errors(dead_time: float) -> float:
         controller = make_controller(
-            belief=Steering(lag=0.3, dead_time=dead_time), profile="paper", steering=0.05, steering_v2=0.005,
+            belief=at.Steering(lag=0.3, dead_time=dead_time), profile="paper", steering=0.05, steering_v2=0.005,
             lateral_jerk=0.0,
         )  # fmt: skip
         state, commands, errors = np.array([0.5, 0.0, 0.0]), [0.0] * 10, []
@@ -190,7 +191,7 @@ def test_it_goes_on_from_an_angle_that_somebody_else_asked_for():
     """As one that began with it: neither the filter nor the limits remember what was not applied."""
     limits = at.Limits(move=(-0.02, 0.02), angle=(-0.5, 0.5))
     late, early = (
-        make_controller(limits=limits, cutoff=3.0, belief=Steering(lag=0.0), profile="paper") for _ in range(2)
+        make_controller(limits=limits, cutoff=3.0, belief=at.Steering(lag=0.0), profile="paper") for _ in range(2)
     )
     late.step([0.0, 0.0, 0.0, 0.1], 10.0, np.zeros(1))
     for controller in (late, early):

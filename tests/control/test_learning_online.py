@@ -1,8 +1,10 @@
-"""Learning while driving: the filters' mathematics, what they find, when they are still, and how it is handed over."""
+"""Learning while driving: the filters' mathematics, what they find, when they are still, and how it is handed over.
 
-from __future__ import annotations
+Its starts: bounded moves, and the speed below which a drive should begin.
+"""
 
 import copy
+import logging
 import math
 
 import numpy as np
@@ -10,29 +12,26 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from adaptrack.base.errors import ConfigError, InvalidInput
-from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import Steering, load_vehicle
-from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
-from adaptrack.control.controllers.learned_car import BeliefState
+import adaptrack as at
+from adaptrack import MPC, Learning, Tracker, load_vehicle
 from adaptrack.control.estimation import NOTHING_MEASURED
-from adaptrack.control.models import PathModel, SingleTrackModel
-from adaptrack.control.tracker import Tracker
+from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning as kernel
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS
+from adaptrack.core.synthesis.belief import LEAST_STEERING_RATE
+from adaptrack.core.synthesis.learner import MAX_BIAS_PULL
 from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN as MIDDLE_OF_NOBODY
-from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.results.run_pictures import learned_picture, learned_quantities
 from adaptrack.results.style import print_figure
-from adaptrack.road import generate_road, plan_speed
-from adaptrack.scenario import RoadDrive, Scenario, random_drive
-from adaptrack.scenario.profile import load_profile
+from adaptrack.road import Line, Road
+from tracker_calls import called_back
 
 pytestmark = pytest.mark.kernels
 
-CAR = load_vehicle("midsize-sedan")
+CAR = at.load_vehicle("midsize-sedan")
 PERIOD, SPEED = 0.05, 15.0
-MIDDLE = Steering(lag=0.2, dead_time=0.125)
-UNSURE = Uncertainty(lag=0.15, dead_time=0.125, stiffness=2.2, mass=0.5)
+MIDDLE = at.Steering(lag=0.2, dead_time=0.125)
+UNSURE = at.Uncertainty(lag=0.15, dead_time=0.125, stiffness=2.2, mass=0.5)
 HALF = CAR.replace(stiffness_front=CAR.stiffness_front / 1.6, stiffness_rear=CAR.stiffness_rear / 1.6)
 both_profiles = pytest.mark.parametrize("profile", ["road", "production"])
 compiled = pytest.mark.compiled
@@ -40,11 +39,11 @@ compiled = pytest.mark.compiled
 
 def learner(profile="road", car=HALF, **learning):
     """A controller that believes the middle of what it is told."""
-    return MPC(car, profile=profile, belief=MIDDLE, uncertainty=UNSURE, learning=Learning(**learning))
+    return at.MPC(car, profile=profile, belief=MIDDLE, uncertainty=UNSURE, learning=at.Learning(**learning))
 
 
 def world(profile="road", lag=0.12, dead_time=0.2, bias=-0.012):
-    settings = load_profile(profile)
+    settings = at.load_profile(profile)
     return settings.replace(steering=settings.steering.replace(lag=lag, dead_time=dead_time, bias=bias))
 
 
@@ -93,7 +92,7 @@ def test_in_gentle_driving_the_prediction_is_that_of_the_path_model(speed):
     hypothesis, angle = first_hypothesis(mpc), 1e-4
     hypothesis.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE, kernel.WIND_FORCE]] = 2e-3, 1e-3, 0.0
     hypothesis.swept = angle * PERIOD
-    a, inputs = PathModel(HALF, PERIOD).continuous(speed)
+    a, inputs = at.PathModel(HALF, PERIOD).continuous(speed)
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a[np.ix_([0, 2], [0, 2])], inputs[[0, 2], 0]
     exact = (expm(block * PERIOD) @ [2e-3, 1e-3, angle])[:2]
@@ -127,14 +126,14 @@ def test_a_controller_told_wrongly_finds_delay_stiffness_bias_and_noise(profile)
     mpc = learner(profile)
     world_of_profile = world(profile)
     noisy = world_of_profile.replace(noise_yaw_rate=2.0 * world_of_profile.noise_yaw_rate)
-    run = rollout(DualTrack(CAR), mpc, random_drive(11, 60.0), profile=noisy, seed=1)
+    run = at.rollout(at.DualTrack(CAR), mpc, at.random_drive(11, 60.0), profile=noisy, seed=1)
     assert run.failed is None
     last = {name: run.diagnostics[name][-1] for name in kernel.BELIEF_NAMES}
     assert last["belief_delay"] == pytest.approx(0.32, abs=0.03)
     assert last["belief_stiffness"] == pytest.approx(1.6, rel=0.15)
     assert last["belief_bias"] == pytest.approx(-0.012, abs=0.004)
     assert last["belief_noise"] == pytest.approx(2.0, rel=0.2)
-    assert BeliefState(int(last["belief_state"])) is BeliefState.SETTLED
+    assert at.BeliefState(int(last["belief_state"])) is at.BeliefState.SETTLED
     for name in ("delay", "stiffness", "bias"):
         assert last[f"belief_{name}_sigma"] < 0.5 * run.diagnostics[f"belief_{name}_sigma"][0]
     truth = run.meta["truth"]
@@ -145,49 +144,51 @@ def test_a_controller_told_wrongly_finds_delay_stiffness_bias_and_noise(profile)
 @compiled
 def test_learning_costs_a_car_that_is_known_little_and_saves_one_that_is_not():
     def cost(mpc, profile):
-        run = rollout(DualTrack(CAR), mpc, random_drive(11, 60.0), profile=profile, seed=1)
+        run = at.rollout(at.DualTrack(CAR), mpc, at.random_drive(11, 60.0), profile=profile, seed=1)
         return 25.0 if run.failed else np.mean(run.error**2) + 3.0 * np.mean(run.command_change**2)
 
-    plain, other = load_profile("road"), world()
-    informed = MPC(CAR, profile="road")
-    steering = Steering(lag=plain.steering.lag, dead_time=plain.steering.dead_time)
-    learning = MPC(CAR, profile="road", belief=steering, uncertainty=UNSURE, learning=Learning())
+    plain, other = at.load_profile("road"), world()
+    informed = at.MPC(CAR, profile="road")
+    steering = at.Steering(lag=plain.steering.lag, dead_time=plain.steering.dead_time)
+    learning = at.MPC(CAR, profile="road", belief=steering, uncertainty=UNSURE, learning=at.Learning())
     assert cost(learning, plain) < 1.3 * cost(informed, plain)
-    unsure = MPC(HALF, profile="road", belief=MIDDLE, uncertainty=UNSURE)
+    unsure = at.MPC(HALF, profile="road", belief=MIDDLE, uncertainty=UNSURE)
     assert cost(learner(), other) < 0.5 * cost(unsure, other)
 
 
 @compiled
 def test_a_curved_road_teaches_as_well_and_its_page_shows_it():
-    road = generate_road("country", 3, 800.0)
-    trip = RoadDrive(road, plan_speed(road, CAR))
+    road = at.generate_road("country", 3, 800.0)
+    trip = at.RoadDrive(road, at.plan_speed(road, CAR))
     mpc = learner()
-    run = rollout(DualTrack(CAR), mpc, trip, profile=world(), seed=1)
+    run = at.rollout(at.DualTrack(CAR), mpc, trip, profile=world(), seed=1)
     assert run.failed is None
     assert run.diagnostics["belief_delay"][-1] == pytest.approx(0.32, abs=0.05)
     assert learned_quantities(run)["delay"].truth[0] == pytest.approx(0.32)
     figure = print_figure(learned_picture({"informed": run}))
     titles = [axes.get_title(loc="left").split(") ")[1] for axes in figure.axes]
     assert titles[:2] == ["Lag and dead time together", "Lag of the steering"]
-    with pytest.raises(InvalidInput, match="needs a controller that learns"):
-        learned_picture({"informed": rollout(DualTrack(CAR), MPC(CAR, profile="road"), trip, profile=world(), seed=1)})
+    with pytest.raises(at.InvalidInput, match="needs a controller that learns"):
+        learned_picture(
+            {"informed": at.rollout(at.DualTrack(CAR), at.MPC(CAR, profile="road"), trip, profile=world(), seed=1)}
+        )
 
 
 @compiled
 def test_what_is_believed_stays_within_what_was_told_even_when_the_truth_does_not():
-    mpc = MPC(HALF, profile="road", belief=Steering(lag=0.2, dead_time=0.1), learning=Learning(),
-              uncertainty=Uncertainty(lag=0.02, dead_time=0.02, stiffness=1.1))  # fmt: skip
-    run = rollout(DualTrack(CAR), mpc, random_drive(11, 20.0), profile=world(lag=0.25, dead_time=0.15), seed=1)
+    mpc = at.MPC(HALF, profile="road", belief=at.Steering(lag=0.2, dead_time=0.1), learning=at.Learning(),
+              uncertainty=at.Uncertainty(lag=0.02, dead_time=0.02, stiffness=1.1))  # fmt: skip
+    run = at.rollout(at.DualTrack(CAR), mpc, at.random_drive(11, 20.0), profile=world(lag=0.25, dead_time=0.15), seed=1)
     diagnostics = run.diagnostics
     assert 0.18 - 1e-9 <= diagnostics["used_lag"].min() <= diagnostics["used_lag"].max() <= 0.22 + 1e-9
     assert 0.08 - 1e-9 <= diagnostics["used_dead_time"].min() <= diagnostics["used_dead_time"].max() <= 0.12 + 1e-9
     assert np.abs(np.log(diagnostics["used_stiffness"])).max() <= math.log(1.1) + 1e-9
-    assert diagnostics["belief_state"][-1] in (BeliefState.AT_BOUND, BeliefState.CONTRADICTORY)
+    assert diagnostics["belief_state"][-1] in (at.BeliefState.AT_BOUND, at.BeliefState.CONTRADICTORY)
     bound = kernel.QUANTITIES_BOUNDED[int(diagnostics["belief_at_bound"][-1]) - 1]
     assert diagnostics[f"belief_{bound}_sigma"][-1] >= diagnostics[f"belief_{bound}_sigma"][0]
     assert diagnostics["used_caution"][-1] > 2.0
-    unbounded = rollout(DualTrack(CAR), MPC(CAR, profile="road", belief="unknown", learning=Learning()),
-                   random_drive(11, 20.0), profile=world(lag=0.5, dead_time=0.1, bias=0.0), seed=1)  # fmt: skip
+    unbounded = at.rollout(at.DualTrack(CAR), at.MPC(CAR, profile="road", belief="unknown", learning=at.Learning()),
+                   at.random_drive(11, 20.0), profile=world(lag=0.5, dead_time=0.1, bias=0.0), seed=1)  # fmt: skip
     assert unbounded.diagnostics["belief_lag"][-1] > 0.4 > MIDDLE_OF_NOBODY[0]
 
 
@@ -207,7 +208,7 @@ def test_a_contradiction_is_reported_step_by_step_and_leaves_the_delay():
         drive_steps(mpc, 1, seed + 1)
         sigmas.append(belief(mpc, "belief_stiffness_sigma"))
         cautions.append(belief(mpc, "used_caution"))
-    assert belief(mpc, "belief_state") == BeliefState.CONTRADICTORY
+    assert belief(mpc, "belief_state") == at.BeliefState.CONTRADICTORY
     assert belief(mpc, "belief_delay_sigma") < 1.1 * delay
     assert np.abs(np.diff(sigmas)).max() < 0.1 * learner().learner.stiffness_spread
     assert np.diff(cautions).max() < 1.0
@@ -281,30 +282,30 @@ def test_what_is_not_finite_brings_back_what_is_known_beforehand():
     assert np.isfinite(learned_of(mpc)).all()
 
 
-LEARNED_VAN = LearnedCar(car="van", lag=0.2, lag_sigma=0.01, dead_time=0.1, dead_time_sigma=0.01, delay_sigma=0.01,
+LEARNED_VAN = at.LearnedCar(car="van", lag=0.2, lag_sigma=0.01, dead_time=0.1, dead_time_sigma=0.01, delay_sigma=0.01,
                          stiffness=1.0, stiffness_sigma=0.1)  # fmt: skip
 
 
 @pytest.mark.parametrize(("make", "words"), [
-    (lambda: Learning(lags=0), "lags = 0: must be a whole number >= 1 and <= 12"),
-    (lambda: Learning(bias=-1.0), "bias = -1.0 rad: must be a finite number >= 0 or None"),
-    (lambda: Learning(start=3), "start = 3: must be a LearnedCar"),
+    (lambda: at.Learning(lags=0), "lags = 0: must be a whole number >= 1 and <= 12"),
+    (lambda: at.Learning(bias=-1.0), "bias = -1.0 rad: must be a finite number >= 0 or None"),
+    (lambda: at.Learning(start=3), "start = 3: must be a LearnedCar"),
     (lambda: learner(start=LEARNED_VAN), "'van'"),
-    (lambda: MPC(CAR, profile="road").learned(), "does not learn"),
-    (lambda: MPC(CAR, model=SingleTrackModel(CAR), learning=Learning()), "specify either those or model and"),
-    (lambda: MPC(CAR, learning=True), "must be a Learning or one of 'auto' or None; 'auto' serves as well"),
+    (lambda: at.MPC(CAR, profile="road").learned(), "does not learn"),
+    (lambda: at.MPC(CAR, model=at.SingleTrackModel(CAR), learning=at.Learning()), "specify either those or model and"),
+    (lambda: at.MPC(CAR, learning=True), "must be a Learning or one of 'auto' or None; 'auto' serves as well"),
 ])  # fmt: skip
 def test_what_learning_refuses(make, words):
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(at.InvalidInput, match=words):
         make()
     learner(start=LEARNED_VAN.replace(car=""))
 
 
 def test_an_experiment_replaces_constants_of_the_method():
-    class Faster(Learning):
-        defaults = Learning.defaults._replace(max_bias_rate=0.4)
+    class Faster(at.Learning):
+        defaults = at.Learning.defaults._replace(max_bias_rate=0.4)
 
-    faster, default = (MPC(CAR, learning=learning(lags=3)) for learning in (Faster, Learning))
+    faster, default = (at.MPC(CAR, learning=learning(lags=3)) for learning in (Faster, at.Learning))
     assert numbers(faster).max_bias_step == pytest.approx(4.0 * numbers(default).max_bias_step)
     assert numbers(faster).hypotheses == numbers(default).hypotheses == 6
 
@@ -312,21 +313,21 @@ def test_an_experiment_replaces_constants_of_the_method():
 @compiled
 def test_a_file_hands_what_was_learned_to_the_next_drive(tmp_path):
     first = learner()
-    simulate(DualTrack(CAR), first, random_drive(11, 20.0), profile=world(), seed=1)
+    at.simulate(at.DualTrack(CAR), first, at.random_drive(11, 20.0), profile=world(), seed=1)
     learned = first.learned()
     assert learned.seconds == pytest.approx(20.0)
     learned.to_toml(tmp_path / "car.toml")
-    read = load_learned_car(tmp_path / "car.toml")
+    read = at.load_learned_car(tmp_path / "car.toml")
     assert read == learned
     (tmp_path / "bad.toml").write_text("lag = -1.0\n")
-    with pytest.raises(ConfigError, match="lag"):
-        load_learned_car(tmp_path / "bad.toml")
+    with pytest.raises(at.ConfigError, match="lag"):
+        at.load_learned_car(tmp_path / "bad.toml")
     following = learner(start=read)
     assert belief(following, "belief_delay") == pytest.approx(learned.lag + learned.dead_time, abs=1e-9)
     assert belief(following, "belief_delay_sigma") < 0.5 * belief(learner(), "belief_delay_sigma")
     assert belief(following, "used_bias") == pytest.approx(learned.bias)
-    drive = random_drive(12, 20.0)
-    costs = [np.mean(rollout(DualTrack(CAR), mpc, drive, profile=world(), seed=2).error ** 2)
+    drive = at.random_drive(12, 20.0)
+    costs = [np.mean(at.rollout(at.DualTrack(CAR), mpc, drive, profile=world(), seed=2).error ** 2)
              for mpc in (following, learner())]  # fmt: skip
     assert costs[0] < costs[1]
 
@@ -336,7 +337,7 @@ def test_a_reset_forgets_and_a_restart_keeps_what_was_learned():
     drive_steps(mpc)
     learned = learned_of(mpc)
     copied = copy.deepcopy(mpc)
-    Tracker(mpc, generate_road("country", 3, 300.0)).engage()
+    at.Tracker(mpc, at.generate_road("country", 3, 300.0)).engage()
     assert learned_of(mpc) == learned
     mpc.restart()
     assert learned_of(mpc) == learned
@@ -349,8 +350,90 @@ def test_a_reset_forgets_and_a_restart_keeps_what_was_learned():
 
 @compiled
 def test_a_change_of_belief_does_not_bump_the_command():
-    straight = Scenario(name="straight", duration=20.0, reference=0.0, speed=SPEED, friction=0.9)
-    run = rollout(DualTrack(CAR), learner(), straight, profile=world(bias=0.0), seed=1)
+    straight = at.Scenario(name="straight", duration=20.0, reference=0.0, speed=SPEED, friction=0.9)
+    run = at.rollout(at.DualTrack(CAR), learner(), straight, profile=world(bias=0.0), seed=1)
     later = run.command_change[40:]
     settled = np.sqrt(np.mean(later[-200:] ** 2))
     assert np.abs(later).max() < 8.0 * settled
+
+
+# -- the first top speed ----------------------------------------------------------------------------------------------
+STRAIGHT = Road.from_segments([Line(length=300.0)])
+
+
+def test_at_the_first_top_speed_the_largest_bias_pulls_the_steady_car_by_the_limit() -> None:
+    mpc = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning())
+    assert mpc.learner is not None
+    car, speed = mpc.learner.car, mpc.learner.first_top_speed
+    front, rear = 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear
+    length = car.lf + car.lr
+    # moment balance of a steady turn: each axle carries its share of m v r
+    understeer = car.mass / length * (car.lr / front - car.lf / rear)
+    assert 0.035 * speed**2 / (length + understeer * speed**2) == pytest.approx(MAX_BIAS_PULL, rel=1e-9)
+    assert f"drive below {speed:.3g} m/s first" in mpc.learns
+
+
+def test_a_narrower_bias_lets_a_drive_begin_faster() -> None:
+    car = load_vehicle("midsize-sedan")
+    learners = [MPC(car, belief="unknown", learning=Learning(bias=bias)).learner for bias in (0.035, 0.02, 0.01)]
+    speeds = [learner.first_top_speed for learner in learners if learner is not None]
+    assert len(speeds) == 3
+    assert speeds[0] < speeds[1] < speeds[2]
+
+
+def test_a_car_that_understeers_enough_may_begin_at_any_speed() -> None:
+    mpc = MPC(load_vehicle("paper"), belief="unknown", learning=Learning())
+    assert mpc.learner is not None
+    assert mpc.learner.first_top_speed == math.inf
+    assert "drive below" not in mpc.learns
+
+
+def test_commands_of_a_learner_turn_no_faster_than_the_slowest_published_steering() -> None:
+    learning = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning())
+    assert learning.limits.move[1] == pytest.approx(LEAST_STEERING_RATE * learning.period)
+    fixed = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=None)
+    assert fixed.limits.move[1] == pytest.approx(math.pi / 12)
+
+
+def drive(tracker: Tracker, speed: float, calls: int = 3) -> list[float]:
+    """Top speeds (m/s) that a tracker gives a car on a straight."""
+    return [tracker.step(0.05 * k, 0.05 * k * speed, 0.0, 0.0, speed, 0.0).first_top_speed for k in range(calls)]
+
+
+@pytest.mark.parametrize(("beyond", "warnings"), [(-1.0, 0), (1.0, 1)])
+def test_a_tracker_gives_the_first_top_speed_and_warns_once_above_it(
+    beyond: float, warnings: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    mpc = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning())
+    assert mpc.learner is not None
+    top = mpc.learner.first_top_speed
+    with caplog.at_level(logging.WARNING, logger="adaptrack"):
+        assert drive(Tracker(mpc, STRAIGHT), top + beyond) == [top] * 3
+    assert sum("before the controller has learned it" in record.message for record in caplog.records) == warnings
+
+
+class StatedTracker(Tracker):
+    """A tracker whose learner states the standard deviation of its delay."""
+
+    delay_sigma = 0.1
+    """s"""
+
+    def _control(self, *words) -> None:
+        super()._control()
+        self._python.answer[0, len(COMMON_ANSWER) + BELIEF_COLUMNS.belief_delay_sigma] = self.delay_sigma
+
+
+def test_the_first_top_speed_ends_when_the_delay_is_learned_and_does_not_come_back() -> None:
+    learning = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning())
+    tracker = StatedTracker(called_back(learning), STRAIGHT)
+    assert max(drive(tracker, 30.0)) < math.inf
+    tracker.delay_sigma = 0.01
+    tracker.engage()
+    assert drive(tracker, 30.0) == [math.inf] * 3
+    tracker.delay_sigma = 0.1
+    tracker.engage()
+    assert drive(tracker, 30.0) == [math.inf] * 3
+
+
+def test_without_learning_there_is_no_first_top_speed() -> None:
+    assert drive(Tracker(MPC(load_vehicle("midsize-sedan"), learning=None), STRAIGHT), 30.0) == [math.inf] * 3

@@ -1,34 +1,27 @@
 """Nothing that ships for one car drives another without a word."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 
-from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import list_vehicles, load_vehicle
-from adaptrack.control.controllers import MPC, published_mpc
+import adaptrack as at
 from adaptrack.control.controllers.compatibility import car_of
-from adaptrack.control.scheduling import Constant, list_schedulers, load_scheduler, made_for
+from adaptrack.control.scheduling import made_for
 from adaptrack.drive.batch import Batch
-from adaptrack.drive.simulate import simulate
-from adaptrack.scenario import load_scenario
-from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import ConstantTuning
 from adaptrack.tuning.runs import RunSet
 
-SCHEDULERS = {name: load_scheduler(name) for name in list_schedulers()}
-CARS = {name: load_vehicle(name) for name in list_vehicles()}
+SCHEDULERS = {name: at.load_scheduler(name) for name in at.list_schedulers()}
+CARS = {name: at.load_vehicle(name) for name in at.list_vehicles()}
 PAIRS = [("road-nn", "paper"), ("road-nn", "van"), ("road-look-up", "midsize-sedan")]
-SHORT = load_scenario("lane-change", speed=5.0, amplitude=0.2, duration=1.0)
+SHORT = at.load_scenario("lane-change", speed=5.0, amplitude=0.2, duration=1.0)
 
 
 def controller(schedule, car, scheduler=None):
     """The MPC that a schedule was made for, of a car."""
-    world = load_profile(schedule.made_for["profile"])
+    world = at.load_profile(schedule.made_for["profile"])
     sizes = {"longest_horizon": max(60, schedule.largest[0]), "most_moves": max(20, schedule.largest[1])}
-    return published_mpc(car, scheduler=scheduler, period=world.period, preview=world.preview, **sizes)
+    return at.published_mpc(car, scheduler=scheduler, period=world.period, preview=world.preview, **sizes)
 
 
 def test_every_shipped_scheduler_says_for_which_car_and_profile_it_was_made():
@@ -45,10 +38,10 @@ def test_a_shipped_scheduler_meets_another_car_with_a_word_and_its_own_without(n
     assert (words in caplog.text) == other
     assert bool(mpc.mismatches(schedule, profile)) == other
     caplog.clear()
-    RunSet(DualTrack(CARS[car]), controller(schedule, CARS[car]), [SHORT], profile)._warn_of(schedule)
+    RunSet(at.DualTrack(CARS[car]), controller(schedule, CARS[car]), [SHORT], profile)._warn_of(schedule)
     assert (words in caplog.text) == other
     caplog.clear()
-    Batch(DualTrack(CARS[car]), controller(schedule, own_car, schedule), [SHORT], profile)
+    Batch(at.DualTrack(CARS[car]), controller(schedule, own_car, schedule), [SHORT], profile)
     assert (words in caplog.text) == other
 
 
@@ -57,7 +50,7 @@ def test_simulate_tells_it_too_when_only_the_plant_is_another_car(caplog):
     schedule = SCHEDULERS["road-best-constant"]
     mpc = controller(schedule, CARS["paper"], schedule)
     assert "made for" not in caplog.text
-    simulate(DualTrack(CARS["van"]), mpc, SHORT, profile="road")
+    at.simulate(at.DualTrack(CARS["van"]), mpc, SHORT, profile="road")
     assert "was made for the car 'paper', not 'van'" in caplog.text
 
 
@@ -66,8 +59,8 @@ def test_a_car_with_the_name_of_a_shipped_one_and_other_numbers_is_another_car(c
     schedule = SCHEDULERS["road-nn"]
     controller(schedule, heavy, schedule)
     assert "was made for the car 'paper', not 'paper with other numbers'" in caplog.text
-    assert car_of(DualTrack(heavy)) == "paper with other numbers"
-    assert car_of(DualTrack(CARS["paper"].replace(description="another word"))) == "paper"
+    assert car_of(at.DualTrack(heavy)) == "paper with other numbers"
+    assert car_of(at.DualTrack(CARS["paper"].replace(description="another word"))) == "paper"
     assert car_of(object()) is None
 
 
@@ -101,8 +94,8 @@ def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_tha
 def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(
     run_command, monkeypatch, tmp_path
 ):
-    mpc, file = MPC(load_vehicle("paper"), profile="road"), tmp_path / "cautious.json"
-    replace(Constant(mpc.tuning, name="cautious"), made_for=made_for(mpc, "road")).save(file)
+    mpc, file = at.MPC(at.load_vehicle("paper"), profile="road"), tmp_path / "cautious.json"
+    replace(at.Constant(mpc.tuning, name="cautious"), made_for=made_for(mpc, "road")).save(file)
     code, _, err = run_command(*drive_shortly("van", file))
     assert code == 0
     assert "Warning, scheduler 'cautious', made for the car 'paper', on 'van'" in err

@@ -6,17 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+import adaptrack as at
 from adaptrack.control import models
-from adaptrack.control.models import (
-    PredictionModel,
-    SingleTrackModel,
-    check_model,
-    get_model,
-    list_models,
-    register_model,
-)
 from adaptrack.core.controllers import condensing
 from adaptrack.core.models import single_track as kernel
 from references import dense_mpc as dense
@@ -24,7 +15,7 @@ from references import mpc as reference
 
 pytestmark = pytest.mark.kernels
 
-CARS = {name: load_vehicle(name) for name in list_vehicles()}
+CARS = {name: at.load_vehicle(name) for name in at.list_vehicles()}
 SPEEDS = (0.5, 1.0, 3.0, 7.3, 15.0, 27.0, 41.7, 60.0)
 STRIDE = 64  # row length of the compiled form's arrays, a multiple of 8
 
@@ -56,19 +47,19 @@ def compiled(model, speed, Np):
 # -- eqs. (7), (8): the model -----------------------------------------------------------------------------------------
 def test_the_continuous_model_is_the_linearised_plant():
     for car, speed in GRID:
-        a, b, c = SingleTrackModel(car).continuous(speed)
+        a, b, c = at.SingleTrackModel(car).continuous(speed)
         expected_a, expected_b = reference.continuous(car, speed)
         close(a, expected_a, 1e-14)
         close(b[:, 0], expected_b, 1e-14)
         assert c.tolist() == [[0, 0, 0, 1]]
         compiled_a, compiled_b = np.empty((4, 4)), np.empty(4)
-        kernel.linearise(speed, SingleTrackModel(car).parameters(), compiled_a, compiled_b)
+        kernel.linearise(speed, at.SingleTrackModel(car).parameters(), compiled_a, compiled_b)
         np.testing.assert_allclose(compiled_a, a, rtol=1e-14)
         np.testing.assert_allclose(compiled_b, b[:, 0], rtol=1e-14)
 
 
 def test_the_continuous_model_has_the_papers_numbers():
-    a, b, _ = SingleTrackModel(CARS["paper"]).continuous(20.0)
+    a, b, _ = at.SingleTrackModel(CARS["paper"]).continuous(20.0)
     assert a[0, 0] == pytest.approx(-2 * 52000 / (1575 * 20))
     assert a[0, 2] == pytest.approx(-20 - 2 * (19000 * 1.2 - 33000 * 1.6) / (1575 * 20))
     assert a[2, 0] == pytest.approx(-2 * (19000 * 1.2 - 33000 * 1.6) / (2875 * 20))
@@ -78,7 +69,7 @@ def test_the_continuous_model_has_the_papers_numbers():
 
 def test_zero_order_hold_equals_the_matrix_exponential():
     for (car, speed), period in itertools.product(GRID, (0.01, 0.05, 0.1, 0.5)):
-        a, b, _ = SingleTrackModel(car, period).discrete(speed)
+        a, b, _ = at.SingleTrackModel(car, period).discrete(speed)
         expected_a, expected_b = reference.discrete(car, speed, period)
         close(a, expected_a, 1e-12)
         close(b[:, 0], expected_b, 1e-12)
@@ -87,7 +78,7 @@ def test_zero_order_hold_equals_the_matrix_exponential():
 # -- eqs. (9), (10): augmentation, F and Phi --------------------------------------------------------------------------
 def test_F_and_Phi_equal_the_simulated_model(rng):
     for (car, speed), (Np, Nc) in itertools.product(GRID, [(1, 1), (5, 5), (20, 3), (35, 8), (60, 20)]):
-        model = SingleTrackModel(car)
+        model = at.SingleTrackModel(car)
         free, phi = dense.prediction(model, speed, Np, Nc)
         before, current, moves = rng.normal(size=4), rng.normal(size=4), np.zeros(Np)
         moves[:Nc] = rng.normal(size=Nc)
@@ -98,8 +89,8 @@ def test_F_and_Phi_equal_the_simulated_model(rng):
 def test_the_compiled_responses_are_F_and_Phi():
     Np = 55
     for car, speed in GRID:
-        free, phi = dense.prediction(SingleTrackModel(car), speed, Np, Np)
-        compiled_free, step = compiled(SingleTrackModel(car), speed, Np)
+        free, phi = dense.prediction(at.SingleTrackModel(car), speed, Np, Np)
+        compiled_free, step = compiled(at.SingleTrackModel(car), speed, Np)
         close(compiled_free, free[:, :4], 1e-12)
         close(step, phi[:, 0], 1e-12)
         assert (free[:, 4] == 1.0).all()
@@ -111,7 +102,7 @@ def test_the_compiled_responses_are_F_and_Phi():
 # -- eqs. (11), (17): the cost ----------------------------------------------------------------------------------------
 @every_car
 def test_the_quadratic_form_is_the_cost_up_to_a_constant(car, rng):
-    model, Np, Nc, Q, R = SingleTrackModel(car), 25, 6, 3.0, 0.4
+    model, Np, Nc, Q, R = at.SingleTrackModel(car), 25, 6, 3.0, 0.4
     x, reference_ahead = rng.normal(size=5), rng.normal(size=Np)
     E, K = dense.quadratic(model, 12.0, x, reference_ahead, Np, Nc, Q, R)
     free, phi = dense.prediction(model, 12.0, Np, Nc)
@@ -127,7 +118,7 @@ def test_the_quadratic_form_is_the_cost_up_to_a_constant(car, rng):
 
 @every_car
 def test_the_compiled_cost_is_that_of_eq_17(car, rng):
-    model = SingleTrackModel(car)
+    model = at.SingleTrackModel(car)
     for _ in range(60):
         Np = int(rng.integers(1, 61))
         Nc = int(rng.integers(1, min(Np, 20) + 1))
@@ -161,7 +152,7 @@ def test_laguerre_functions_are_those_of_their_z_transforms(pole):
 @every_car
 @pytest.mark.parametrize("pole", [0.0, 0.75, 0.95])
 def test_the_laguerre_cost_is_the_pulse_cost_projected(car, pole, rng):
-    model, Np, terms, Q, R = SingleTrackModel(car), 40, 7, 10.0, 0.02
+    model, Np, terms, Q, R = at.SingleTrackModel(car), 40, 7, 10.0, 0.02
     speed = 17.0
     _, step = compiled(model, speed, Np)
     basis = laguerre(Np, terms, pole)
@@ -195,41 +186,41 @@ def test_limit_rows_bound_each_move_and_each_angle(rng):
 
 # -- refusals ---------------------------------------------------------------------------------------------------------
 def test_what_makes_no_model_is_refused():
-    model = SingleTrackModel(CARS["paper"])
+    model = at.SingleTrackModel(CARS["paper"])
     for value in (0.0, -3.0, math.nan, math.inf):
         for method in (model.continuous, model.discrete):
-            with pytest.raises(InvalidInput, match="speed = "):
+            with pytest.raises(at.InvalidInput, match="speed = "):
                 method(value)
-        with pytest.raises(InvalidInput, match="period = "):
-            SingleTrackModel(CARS["paper"], value)
+        with pytest.raises(at.InvalidInput, match="period = "):
+            at.SingleTrackModel(CARS["paper"], value)
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
 def test_a_model_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
     monkeypatch.setattr(models._registry, "factories", dict(models._registry.factories))
-    register_model("stiffer", lambda car, period: SingleTrackModel(car.replace(stiffness_front=30000.0), period))
-    assert list_models() == ["path", "single-track", "stiffer"]
-    assert get_model("stiffer", CARS["paper"], 0.05).vehicle.stiffness_front == 30000.0
-    assert get_model("single-track", CARS["paper"], 0.05) == SingleTrackModel(CARS["paper"], 0.05)
-    for name, factory in (("single-track", SingleTrackModel), ("", SingleTrackModel), ("mine", None)):
-        with pytest.raises(InvalidInput, match="register_model"):
-            register_model(name, factory)
-    with pytest.raises(UnknownName, match="'single-track'"):
-        get_model("single-trak", CARS["paper"])
+    at.register_model("stiffer", lambda car, period: at.SingleTrackModel(car.replace(stiffness_front=30000.0), period))
+    assert at.list_models() == ["path", "single-track", "stiffer"]
+    assert at.get_model("stiffer", CARS["paper"], 0.05).vehicle.stiffness_front == 30000.0
+    assert at.get_model("single-track", CARS["paper"], 0.05) == at.SingleTrackModel(CARS["paper"], 0.05)
+    for name, factory in (("single-track", at.SingleTrackModel), ("", at.SingleTrackModel), ("mine", None)):
+        with pytest.raises(at.InvalidInput, match="register_model"):
+            at.register_model(name, factory)
+    with pytest.raises(at.UnknownName, match="'single-track'"):
+        at.get_model("single-trak", CARS["paper"])
 
 
 # -- the checker ------------------------------------------------------------------------------------------------------
 def test_ours_is_admitted():
     for car, period in itertools.product(CARS.values(), (0.02, 0.1, 0.25)):
-        check_model(SingleTrackModel(car, period))
+        at.check_model(at.SingleTrackModel(car, period))
 
 
-@PredictionModel.register
+@at.PredictionModel.register
 class Broken:
     """A model whose function writes the matrices of the paper's, but for one thing."""
 
     def __init__(self, **changes):
-        model = SingleTrackModel(CARS["paper"])
+        model = at.SingleTrackModel(CARS["paper"])
         self.name, self.period, self.n, self.output = "broken", model.period, model.n, model.output
         self.numbers, self.changes, self.asked = model.parameters(), changes, 0
 
@@ -250,8 +241,8 @@ class Broken:
     ({"b": lambda b, count: b.__imul__(-1.0)}, "to the left must move y to the left"),
 ], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
 def test_the_checker_refuses_a_model_that_breaks(changes, clause):
-    with pytest.raises(ContractError, match=clause):
-        check_model(Broken(**changes))
+    with pytest.raises(at.ContractError, match=clause):
+        at.check_model(Broken(**changes))
 
 
 def test_the_checker_refuses_a_model_that_writes_to_its_parameters():
@@ -259,5 +250,5 @@ def test_the_checker_refuses_a_model_that_writes_to_its_parameters():
         def parameters(self):
             return np.append(self.numbers, 0.0)  # one more, which the matrices do not need
 
-    with pytest.raises(ContractError, match="parameters must not be written to"):
-        check_model(Careless(p=lambda p, count: p.__setitem__(6, 1.0)))
+    with pytest.raises(at.ContractError, match="parameters must not be written to"):
+        at.check_model(Careless(p=lambda p, count: p.__setitem__(6, 1.0)))

@@ -7,22 +7,18 @@ from functools import partial
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
-from adaptrack.control.models import SingleTrackModel
+import adaptrack as at
 from adaptrack.control.qp import QPStatus
-from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.controllers import mpc as kernel
 from references import dense_mpc as dense
 from references import mpc as reference
 
 pytestmark = pytest.mark.kernels
 
-CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
+CAR, SEDAN = at.load_vehicle("paper"), at.load_vehicle("midsize-sedan")
 REST = np.zeros(4)
-WIDE = Limits(move=(-1e3, 1e3), angle=(-1e3, 1e3))
-MOVES = {"pulse": Moves.pulses(), "laguerre": Moves.laguerre(0.75, 6)}
+WIDE = at.Limits(move=(-1e3, 1e3), angle=(-1e3, 1e3))
+MOVES = {"pulse": at.Moves.pulses(), "laguerre": at.Moves.laguerre(0.75, 6)}
 
 every_parametrisation = pytest.mark.parametrize("moves", MOVES.values(), ids=MOVES)
 
@@ -51,8 +47,8 @@ def transfer(mpc, to):
 def test_without_limits_a_step_is_the_least_squares_solution(moves, preview, car, rng):
     for _ in range(25):
         Np = int(rng.integers(5, 40))
-        tuning = Tuning(Np, int(rng.integers(1, min(Np, 12) + 1)), 10 ** rng.uniform(0, 1), 10 ** rng.uniform(-1, 2))
-        mpc = published_mpc(car, tuning, limits=WIDE, moves=moves, preview=preview)
+        tuning = at.Tuning(Np, int(rng.integers(1, min(Np, 12) + 1)), 10 ** rng.uniform(0, 1), 10 ** rng.uniform(-1, 2))
+        mpc = at.published_mpc(car, tuning, limits=WIDE, moves=moves, preview=preview)
         before, current = wild_state(rng), wild_state(rng)
         mpc.step(before, 12.0, [0.0])
         ahead, speed = rng.normal(size=60), rng.uniform(3, 30)
@@ -68,7 +64,7 @@ def test_without_limits_a_step_is_the_least_squares_solution(moves, preview, car
 
 def test_the_first_step_takes_the_state_for_unchanged(rng):
     state, ahead = wild_state(rng), rng.normal(size=1)
-    mpc = published_mpc(CAR, Tuning(20, 5, 1.0, 1.0), limits=WIDE)
+    mpc = at.published_mpc(CAR, at.Tuning(20, 5, 1.0, 1.0), limits=WIDE)
     expected = reference.unconstrained_move(
         CAR, 10.0, 0.1, state, state, np.full(20, ahead[0]), 1.0, 1.0, basis(MOVES["pulse"], 20, 5)
     )
@@ -77,8 +73,8 @@ def test_the_first_step_takes_the_state_for_unchanged(rng):
 
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.1])
 def test_the_qp_is_that_of_eq_17(period, rng):
-    mpc = published_mpc(CAR, period=period)
-    model = SingleTrackModel(CAR, period)
+    mpc = at.published_mpc(CAR, period=period)
+    model = at.SingleTrackModel(CAR, period)
     for _ in range(20):
         before, current, speed = wild_state(rng), wild_state(rng), rng.uniform(1, 40)
         mpc.reset()
@@ -94,9 +90,9 @@ def test_the_qp_is_that_of_eq_17(period, rng):
 
 
 def test_the_model_speed_has_a_floor():
-    slow = [published_mpc(CAR, speed_floor=2.0).step(REST, speed, [1e-3]).move for speed in (0.0, 0.5, 2.0)]
+    slow = [at.published_mpc(CAR, speed_floor=2.0).step(REST, speed, [1e-3]).move for speed in (0.0, 0.5, 2.0)]
     assert slow[0] == slow[1] == slow[2]
-    assert published_mpc(CAR, speed_floor=2.0).step(REST, 2.1, [1e-3]).move != slow[0]
+    assert at.published_mpc(CAR, speed_floor=2.0).step(REST, 2.1, [1e-3]).move != slow[0]
 
 
 # -- preview ----------------------------------------------------------------------------------------------------------
@@ -104,18 +100,18 @@ def test_the_model_speed_has_a_floor():
 
 def test_with_preview_the_last_reference_is_held(rng):
     ahead = np.array([0.0, 0.1, 0.4])
-    short = published_mpc(CAR, preview=True).step(REST, 12.0, ahead)
-    padded = published_mpc(CAR, preview=True).step(REST, 12.0, np.concatenate([ahead, np.full(60, 0.4)]))
+    short = at.published_mpc(CAR, preview=True).step(REST, 12.0, ahead)
+    padded = at.published_mpc(CAR, preview=True).step(REST, 12.0, np.concatenate([ahead, np.full(60, 0.4)]))
     assert short == padded
-    assert published_mpc(CAR, preview=True).step(REST, 12.0, [0.3]) == published_mpc(CAR).step(REST, 12.0, [0.3])
+    assert at.published_mpc(CAR, preview=True).step(REST, 12.0, [0.3]) == at.published_mpc(CAR).step(REST, 12.0, [0.3])
 
 
 # -- limits -----------------------------------------------------------------------------------------------------------
 @every_parametrisation
 @pytest.mark.parametrize("solver", ["active-set", "hildreth"])
 def test_moves_and_angles_stay_within_their_limits(moves, solver, rng):
-    limits = Limits(move=(-0.05, 0.03), angle=(-0.2, 0.25))
-    mpc = published_mpc(CAR, limits=limits, moves=moves, solver=solver)
+    limits = at.Limits(move=(-0.05, 0.03), angle=(-0.2, 0.25))
+    mpc = at.published_mpc(CAR, limits=limits, moves=moves, solver=solver)
     angle, count = 0.0, 0
     for _ in range(60):
         command = mpc.step(wild_state(rng, 3.0), rng.uniform(1, 30), rng.normal(size=1) * 10)
@@ -132,8 +128,8 @@ def test_moves_and_angles_stay_within_their_limits(moves, solver, rng):
 
 @every_parametrisation
 def test_an_output_limit_is_violated_only_as_far_as_it_must(moves):
-    limits = Limits(output=(-math.inf, 0.6))
-    mpc = published_mpc(CAR, Tuning(30, 8, 1.0, 0.1), limits=limits, moves=moves)
+    limits = at.Limits(output=(-math.inf, 0.6))
+    mpc = at.published_mpc(CAR, at.Tuning(30, 8, 1.0, 0.1), limits=limits, moves=moves)
     a, b = reference.discrete(CAR, 12.0, 0.1)
     x, count, path = np.zeros(4), 0, []
     for _ in range(80):
@@ -145,12 +141,14 @@ def test_an_output_limit_is_violated_only_as_far_as_it_must(moves):
     assert 0.59 < path[-1] < 0.605
     assert max(path) < 0.63
     # far outside, the weight leaves only one way: back
-    assert published_mpc(CAR, limits=Limits(output=(-0.1, 0.1))).step([0, 0, 0, 2.0], 12.0, [2.0]).move < 0.0
+    assert at.published_mpc(CAR, limits=at.Limits(output=(-0.1, 0.1))).step([0, 0, 0, 2.0], 12.0, [2.0]).move < 0.0
 
 
 def test_a_higher_weight_violates_an_output_limit_less():
     def overshoot(weight):
-        mpc = published_mpc(CAR, Tuning(30, 8, 1.0, 0.1), limits=Limits(output=(-1.0, 0.6), output_weight=weight))
+        mpc = at.published_mpc(
+            CAR, at.Tuning(30, 8, 1.0, 0.1), limits=at.Limits(output=(-1.0, 0.6), output_weight=weight)
+        )
         a, b = reference.discrete(CAR, 12.0, 0.1)
         x = np.zeros(4)
         for _ in range(80):
@@ -174,22 +172,22 @@ class Playlist:
         return self.tunings[self.k - 1]
 
 
-HERE = SchedulingVariables(speed=15.0, y_ref=0.5, friction=0.8, wind=3.0)
+HERE = at.SchedulingVariables(speed=15.0, y_ref=0.5, friction=0.8, wind=3.0)
 
 
 @every_parametrisation
 @pytest.mark.parametrize("output", [(-math.inf, math.inf), (-0.8, 0.8)], ids=["free", "soft"])
 def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output, rng):
-    limits = Limits(output=output)
+    limits = at.Limits(output=output)
     tunings = []
     for _ in range(30):
         Np = int(rng.integers(1, 60))
         tunings.append(
-            Tuning(Np, int(rng.integers(1, min(Np, 20) + 1)), 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-2, 1))
+            at.Tuning(Np, int(rng.integers(1, min(Np, 20) + 1)), 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-2, 1))
         )
-    changing = published_mpc(CAR, limits=limits, moves=moves, scheduler=Playlist(tunings))
+    changing = at.published_mpc(CAR, limits=limits, moves=moves, scheduler=Playlist(tunings))
     for tuning in tunings:
-        fresh = published_mpc(CAR, tuning, limits=limits, moves=moves, longest_horizon=60, most_moves=20)
+        fresh = at.published_mpc(CAR, tuning, limits=limits, moves=moves, longest_horizon=60, most_moves=20)
         transfer(changing, fresh)
         state, speed, ahead = wild_state(rng, 0.7), rng.uniform(1, 30), rng.normal(size=1)
         expected = fresh.step(state, speed, ahead)
@@ -199,22 +197,21 @@ def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output,
         assert command.move == pytest.approx(expected.move, rel=1e-8, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("horizons", "used"),
-    [((34.5, 8.2), (35, 8)), ((34.49, 7.5), (34, 8)), ((10.0, 14.0), (10, 10)), ((1e12, 1e12), (60, 20)),
-     ((0.2, 0.2), (1, 1)), ((-7.0, 3.0), (1, 1)), ((60.4, 19.6), (60, 20))],
-)  # fmt: skip
+@pytest.mark.parametrize(("horizons", "used"), [
+    ((34.5, 8.2), (35, 8)), ((34.49, 7.5), (34, 8)), ((10.0, 14.0), (10, 10)), ((1e12, 1e12), (60, 20)),
+    ((0.2, 0.2), (1, 1)), ((-7.0, 3.0), (1, 1)), ((60.4, 19.6), (60, 20)),
+])  # fmt: skip
 def test_real_valued_horizons_are_rounded_and_clamped(horizons, used):
-    mpc = published_mpc(CAR, scheduler=lambda variables: (*horizons, 10.0, 0.01))
+    mpc = at.published_mpc(CAR, scheduler=lambda variables: (*horizons, 10.0, 0.01))
     command = mpc.step(REST, 15.0, [0.2], HERE)
     assert command.tuning == (*used, 10.0, 0.01)
-    plain = published_mpc(CAR, Tuning(*used, 10.0, 0.01)).step(REST, 15.0, [0.2])
+    plain = at.published_mpc(CAR, at.Tuning(*used, 10.0, 0.01)).step(REST, 15.0, [0.2])
     assert command.move == pytest.approx(plain.move, rel=1e-9)
 
 
 @pytest.mark.parametrize("weights", [(-1.0, 0.01), (10.0, 0.0), (10.0, -1.0)])
 def test_a_scheduler_that_gives_impossible_weights_holds_the_angle_and_says_so(weights):
-    mpc = published_mpc(CAR, scheduler=lambda variables: (35, 8, *weights))
+    mpc = at.published_mpc(CAR, scheduler=lambda variables: (35, 8, *weights))
     command = mpc.step(REST, 15.0, [0.5], HERE)
     assert command.held
     assert command.status is QPStatus.NOT_CONVEX
@@ -225,16 +222,14 @@ def raising(variables):
     raise RuntimeError("the network is down")
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [(35, 8, 10.0), None, "fast", (35, 8, 10.0, "small"), (35, 8, 10**400, 1.0), {}, 3.0, [[35, 8, 1, 1]],
-     (math.nan, 4, 1.0, 0.5), (20, math.inf, 1.0, 0.5), (20, 4, -math.inf, 0.5), (20, 4, 1.0, math.nan), raising],
-    ids=lambda answer: str(answer)[:20],
-)  # fmt: skip
+@pytest.mark.parametrize("answer", [
+    (35, 8, 10.0), None, "fast", (35, 8, 10.0, "small"), (35, 8, 10**400, 1.0), {}, 3.0, [[35, 8, 1, 1]],
+    (math.nan, 4, 1.0, 0.5), (20, math.inf, 1.0, 0.5), (20, 4, -math.inf, 0.5), (20, 4, 1.0, math.nan), raising
+], ids=lambda answer: str(answer)[:20])  # fmt: skip
 def test_a_scheduler_that_fails_keeps_the_tuning_before_is_counted_and_said_once(answer, caplog):
-    tuning = Tuning(20, 4, 2.0, 0.5)
+    tuning = at.Tuning(20, 4, 2.0, 0.5)
     scheduler = answer if callable(answer) else lambda variables: answer
-    mpc, plain = published_mpc(CAR, tuning, scheduler=scheduler), published_mpc(CAR, tuning)
+    mpc, plain = at.published_mpc(CAR, tuning, scheduler=scheduler), at.published_mpc(CAR, tuning)
     for steps in (1, 2, 3):
         command = mpc.step(REST, 15.0, [0.1], HERE)
         assert (command.tuning, command.move) == (dataclasses.astuple(tuning), plain.step(REST, 15.0, [0.1]).move)
@@ -248,36 +243,34 @@ def test_a_scheduler_that_fails_keeps_the_tuning_before_is_counted_and_said_once
 # -- bad arguments ----------------------------------------------------------------------------------------------------
 NO_LIMIT = (0.0, -1.0, math.nan, math.inf)
 REFUSED = [
-    (Tuning, "Np", (0, -1, 35.0, True, math.nan, "35", None)), (Tuning, "Nc", (0, 36, 2.5, math.inf)),
-    (Tuning, "Q", (-1.0, math.nan, math.inf)), (Tuning, "R", NO_LIMIT),
-    (Limits, "move", ((0.1, -0.1), (math.nan, 0.1), (0.01, 0.1), (-0.1, -0.01), (-math.inf, 0.1), (-0.1, math.inf))),
-    (Limits, "angle", ((0.2, -0.2), (-0.2, math.nan), (0.1, 0.2), (-math.inf, math.inf))),
-    (Limits, "output", ((1.0, -1.0), (math.nan, 1.0))), (Limits, "output_weight", NO_LIMIT),
-    (Moves, "kind", ("pulses",)), (Moves, "pole", (1.0, -0.1, math.nan)), (Moves, "terms", (0, -2)),
-    (partial(published_mpc, CAR), "period", NO_LIMIT), (partial(published_mpc, CAR), "speed_floor", NO_LIMIT),
-    (partial(published_mpc, CAR), "longest_horizon", (20,)), (partial(published_mpc, CAR), "most_moves", (5,)),
-    (partial(published_mpc, CAR, moves=Moves.laguerre()), "most_moves", (80,)),
+    (at.Tuning, "Np", (0, -1, 35.0, True, math.nan, "35", None)), (at.Tuning, "Nc", (0, 36, 2.5, math.inf)),
+    (at.Tuning, "Q", (-1.0, math.nan, math.inf)), (at.Tuning, "R", NO_LIMIT),
+    (at.Limits, "move", ((0.1, -0.1), (math.nan, 0.1), (0.01, 0.1), (-0.1, -0.01), (-math.inf, 0.1), (-0.1, math.inf))),
+    (at.Limits, "angle", ((0.2, -0.2), (-0.2, math.nan), (0.1, 0.2), (-math.inf, math.inf))),
+    (at.Limits, "output", ((1.0, -1.0), (math.nan, 1.0))), (at.Limits, "output_weight", NO_LIMIT),
+    (at.Moves, "kind", ("pulses",)), (at.Moves, "pole", (1.0, -0.1, math.nan)), (at.Moves, "terms", (0, -2)),
+    (partial(at.published_mpc, CAR), "period", NO_LIMIT), (partial(at.published_mpc, CAR), "speed_floor", NO_LIMIT),
+    (partial(at.published_mpc, CAR), "longest_horizon", (20,)), (partial(at.published_mpc, CAR), "most_moves", (5,)),
+    (partial(at.published_mpc, CAR, moves=at.Moves.laguerre()), "most_moves", (80,)),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("make", "argument", "values"), REFUSED)
 def test_what_makes_no_controller_is_refused_by_name(make, argument, values):
     for value in values:
-        with pytest.raises(InvalidInput, match=rf"{argument}(\[.\])? (= |must)"):
+        with pytest.raises(at.InvalidInput, match=rf"{argument}(\[.\])? (= |must)"):
             make(**{argument: value})
 
 
 # -- workspace --------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"moves": MOVES["laguerre"]}, {"limits": Limits(output=(-0.5, 0.5))}, {"solver": "hildreth"}],
-    ids=["pulse", "laguerre", "soft", "hildreth"],
-)
+@pytest.mark.parametrize("options", [
+    {}, {"moves": MOVES["laguerre"]}, {"limits": at.Limits(output=(-0.5, 0.5))}, {"solver": "hildreth"}
+], ids=["pulse", "laguerre", "soft", "hildreth"])  # fmt: skip
 def test_what_a_workspace_held_before_changes_no_bit(options, rng):
     from adaptrack.core.controllers.mpc_step import MPCStep, step
 
-    mpc = published_mpc(CAR, **options)
+    mpc = at.published_mpc(CAR, **options)
     settings = mpc.settings()
     used = mpc.batch(1, settings)
     for _ in range(40):
@@ -300,11 +293,11 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
 
 
 def test_a_controller_describes_itself():
-    described = published_mpc(CAR, moves=Moves.laguerre(0.75, 6), preview=True).describe()
+    described = at.published_mpc(CAR, moves=at.Moves.laguerre(0.75, 6), preview=True).describe()
     assert described["tuning"] == {"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01}
     assert described["moves"] == {"kind": "laguerre", "pole": 0.75, "terms": 6}
     assert described["preview"] is True
     assert described["solver"] == "active-set"
-    assert published_mpc(CAR).describe()["moves"] == {"kind": "pulse"}
-    assert published_mpc(CAR).name == "standard MPC (pulse)"
-    assert "scheduled" in published_mpc(CAR, scheduler=Playlist([])).name
+    assert at.published_mpc(CAR).describe()["moves"] == {"kind": "pulse"}
+    assert at.published_mpc(CAR).name == "standard MPC (pulse)"
+    assert "scheduled" in at.published_mpc(CAR, scheduler=Playlist([])).name

@@ -9,12 +9,10 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import adaptrack as at
-from adaptrack.cars.vehicle import Steering
 from adaptrack.control.controllers.laws import GAIN_SPEEDS
-from adaptrack.control.controllers.preview_lqr import PreviewLQR, steady_turn
-from adaptrack.control.models import PathModel
-from adaptrack.road import Arc, Clothoid, Line, Road
-from adaptrack.road.road_ahead import RoadAhead, straight
+from adaptrack.control.controllers.preview_lqr import steady_turn
+from adaptrack.road import Arc, Clothoid, Line
+from adaptrack.road.road_ahead import straight
 from references.dense_mpc import preview_gains_at
 
 pytestmark = pytest.mark.kernels
@@ -25,14 +23,14 @@ every_car = pytest.mark.parametrize("car", [PAPER, SEDAN], ids=lambda car: car.n
 every_lag = pytest.mark.parametrize("lag", [0.0, 0.2])
 
 
-def make_controller(car=SEDAN, lag: float = 0.2, dead_time: float = 0.0, **options) -> PreviewLQR:
-    belief = Steering(lag=lag, dead_time=dead_time)
-    return PreviewLQR(car, **{"profile": "paper", "period": 0.05, "belief": belief, "limits": WIDE, **options})
+def make_controller(car=SEDAN, lag: float = 0.2, dead_time: float = 0.0, **options) -> at.PreviewLQR:
+    belief = at.Steering(lag=lag, dead_time=dead_time)
+    return at.PreviewLQR(car, **{"profile": "paper", "period": 0.05, "belief": belief, "limits": WIDE, **options})
 
 
 def model_of(car, lag: float, speed: float):
     """A, B and E of the path model."""
-    model = PathModel(car, 0.05, lag)
+    model = at.PathModel(car, 0.05, lag)
     n = model.n
     A, B, E = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     model.function(speed, model.period, model.parameters(), A, B, E)
@@ -69,7 +67,7 @@ def test_the_steady_turn_is_a_fixed_point_of_the_path_model(car, lag, speed):
     np.testing.assert_allclose(A @ X + B * U + E, X, atol=1e-12)
 
 
-def applied_gain(controller: PreviewLQR, speed: float) -> np.ndarray:
+def applied_gain(controller: at.PreviewLQR, speed: float) -> np.ndarray:
     """The gain on v_y, psi, r and y that the compiled law applies on a straight path."""
     small, answer, gain = 1e-6, np.zeros(1 + len(controller.diagnostic_names)), []
     for state in np.eye(4):
@@ -129,19 +127,19 @@ def test_rolling_through_the_dead_time_is_the_optimum_with_the_commands_on_their
 @pytest.mark.parametrize("speed", [4.0, 15.0])
 def test_in_the_steady_turn_of_the_linear_car_it_keeps_its_angle(car, lag, speed):
     radius = 60.0
-    ring = Road.from_segments([Arc(length=radius * 2.0 * math.pi, curvature=1.0 / radius)], name="ring", closed=True)
+    ring = at.Road.from_segments([Arc(length=radius * 2.0 * math.pi, curvature=1.0 / radius)], name="ring", closed=True)
     controller = make_controller(car, lag, dead_time=0.12)
     X, U = steady_turn(car, speed, 4)
     w = speed / radius
     controller.applied(U * w)
     state = X[[0, 1, 2, 3]] * w
     for _ in range(5):
-        answer = controller.step(state, speed, np.zeros(1), road=RoadAhead(ring, 30.0, [speed]))
+        answer = controller.step(state, speed, np.zeros(1), road=at.RoadAhead(ring, 30.0, [speed]))
         assert answer.angle == pytest.approx(U * w, abs=1e-9)
         assert answer.diagnostics["feed_forward"] == pytest.approx(U * w, rel=1e-9)
 
 
-WINDING = Road.from_segments(
+WINDING = at.Road.from_segments(
     [
         Line(length=60.0),
         Clothoid(length=40.0, start_curvature=0.0, end_curvature=0.02),
@@ -166,7 +164,7 @@ def driven_cost(controller, lag: float) -> float:
     x, cost = np.zeros(n), 0.0
     controller.reset()
     for _ in range(560):
-        answer = controller.step(x[[0, 1, 2, n - 1]], speed, np.zeros(1), road=RoadAhead(WINDING, s, [speed]))
+        answer = controller.step(x[[0, 1, 2, n - 1]], speed, np.zeros(1), road=at.RoadAhead(WINDING, s, [speed]))
         w = speed * float(WINDING.at(min(s + 0.25, WINDING.length)).curvature)
         cost += x[-1] ** 2 + 100.0 * (x[1] - X[1] * w) ** 2 + 100.0 * (answer.angle - U * w) ** 2
         x, s = A @ x + B * answer.angle + E * w, s + 0.5
@@ -193,10 +191,10 @@ def test_the_further_it_sees_the_lower_its_cost_until_all_that_counts_is_seen():
 def test_a_pose_of_known_age_is_moved_on_with_the_present_motion():
     """On a circle, without a dead time: the pose of 0.1 s ago and the motion of now, against the pose of now."""
     speed, rate, age = 10.0, 0.1, 0.1
-    late = PreviewLQR(SEDAN, profile=at.load_profile("production"), belief=Steering(lag=0.0), limits=WIDE)
-    prompt = PreviewLQR(
+    late = at.PreviewLQR(SEDAN, profile=at.load_profile("production"), belief=at.Steering(lag=0.0), limits=WIDE)
+    prompt = at.PreviewLQR(
         SEDAN, profile=at.load_profile("production").replace(pose_age=0.0, pose_age_spread=0.0),
-        belief=Steering(lag=0.0), limits=WIDE,
+        belief=at.Steering(lag=0.0), limits=WIDE,
     )  # fmt: skip
     yaw, y = 0.02, 0.1
     current = yaw + age * rate, y + age * speed * (yaw + 0.5 * age * rate)

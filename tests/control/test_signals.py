@@ -5,10 +5,10 @@ import re
 from pathlib import Path
 
 import adaptrack
-from adaptrack.control.controllers import LearnedCar
+import adaptrack as at
 from adaptrack.control.recording import LOG_COLUMNS, LOG_NAMES
 from adaptrack.control.speed_control import SpeedCommand, SpeedLimit, SpeedState
-from adaptrack.control.tracker import Status, Tracked, Tracker
+from adaptrack.control.tracker import Tracked
 from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED
 from adaptrack.core.kernel import fields_of
 from adaptrack.core.speed.speed_control import SPEED_MEMORY, SPEED_REQUEST
@@ -16,7 +16,7 @@ from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
 
 OF_SCHEDULES = {"friction", "wind"}
 """A `Tracker` takes no controller with a schedule."""
-ARGUMENTS = inspect.signature(Tracker.step).parameters.keys() - {"self"}
+ARGUMENTS = inspect.signature(at.Tracker.step).parameters.keys() - {"self"}
 
 
 def test_a_step_takes_the_signals_of_the_table():
@@ -30,7 +30,7 @@ def test_the_bound_of_a_belief_is_described_by_the_bounded_quantities():
 
 def test_a_step_answers_the_signals_of_the_table_and_its_statuses():
     assert Tracked._fields[:5] == TRACKED._fields[:5]
-    assert tuple(status.replace("-", "_") for status in Status) == STATUS._fields[:-1]
+    assert tuple(status.replace("-", "_") for status in at.Status) == STATUS._fields[:-1]
 
 
 def test_a_request_is_that_of_the_table_and_begins_the_memory():
@@ -61,6 +61,6 @@ def test_a_log_has_the_signals_of_a_sample_but_those_of_schedules_and_of_the_spe
 def test_a_learned_car_holds_learned_quantities_with_their_units():
     for field in fields_of(LEARNED):
         if field.bounds:
-            described = LearnedCar.model_fields[field.name].description
+            described = at.LearnedCar.model_fields[field.name].description
             assert described.startswith(f"{field.unit or '-'}, ")
-            assert f"{field.name}_sigma" in LearnedCar.model_fields
+            assert f"{field.name}_sigma" in at.LearnedCar.model_fields

@@ -78,13 +78,13 @@ def drive(
     history, messages, rows = [(0.0, 0.0)], {}, []
 
     def message(tick: int, sensor: str) -> tuple[float, float]:
-        at = max(tick, 0)
-        if (at, sensor) not in messages:
-            true_x, true_v = history[at]
+        sample_tick = max(tick, 0)
+        if (sample_tick, sensor) not in messages:
+            true_x, true_v = history[sample_tick]
             first, second = rng.standard_normal(2)
-            measured_speed = speed(at * TICK, true_v) / scale + 0.02 * second * (true_v > 0.0)
-            messages[at, sensor] = position(at * TICK, true_x) + noise * first, measured_speed
-        return messages[at, sensor]
+            measured_speed = speed(sample_tick * TICK, true_v) / scale + 0.02 * second * (true_v > 0.0)
+            messages[sample_tick, sensor] = position(sample_tick * TICK, true_x) + noise * first, measured_speed
+        return messages[sample_tick, sensor]
 
     for tick in range(round(seconds / TICK)):
         if tick % LOOP == 0:

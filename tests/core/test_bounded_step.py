@@ -1,7 +1,5 @@
 """A step's work and memory are bounded: changes of the active set, allocations in kernels and in Python."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 
@@ -9,21 +7,19 @@ import numpy as np
 import pytest
 from tools.qp_corpus import chunk
 
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import MPC, Learning, Limits, Tuning, published_mpc
+import adaptrack as at
 from adaptrack.control.qp import ActiveSet, QPStatus
-from adaptrack.control.tracker import Tracker
 from adaptrack.core.qp.problem import CHANGES
-from adaptrack.road import Line, Road
+from adaptrack.road import Line
 
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 compiled = pytest.mark.compiled
 
 
 def capped_mpc(most):
     """An MPC that may change its active set so many times."""
-    limits = Limits(move=(-0.02, 0.02), angle=(-0.1, 0.1))
-    return published_mpc(CAR, Tuning(30, 15, 1.0, 0.01), period=0.05, limits=limits, solver=ActiveSet(most))
+    limits = at.Limits(move=(-0.02, 0.02), angle=(-0.1, 0.1))
+    return at.published_mpc(CAR, at.Tuning(30, 15, 1.0, 0.01), period=0.05, limits=limits, solver=ActiveSet(most))
 
 
 def test_a_step_beyond_its_changes_follows_the_last_plan_and_says_so():
@@ -47,9 +43,9 @@ def test_problems_of_closed_loops_stay_far_below_the_limit_on_changes():
 
 # -- memory -----------------------------------------------------------------------------------------------------------
 CONTROLLERS = {
-    "published": lambda: published_mpc(CAR, Tuning(35, 8, 1.0, 3000.0), period=0.05),
-    "informed": lambda: MPC(CAR, profile="road"),
-    "learning": lambda: MPC(CAR, profile="road", learning=Learning()),
+    "published": lambda: at.published_mpc(CAR, at.Tuning(35, 8, 1.0, 3000.0), period=0.05),
+    "informed": lambda: at.MPC(CAR, profile="road"),
+    "learning": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
 }
 
 
@@ -57,7 +53,7 @@ CONTROLLERS = {
 @pytest.mark.parametrize("make", CONTROLLERS.values(), ids=CONTROLLERS)
 @compiled
 def test_a_tracker_keeps_nothing_of_its_calls(make):
-    tracker = Tracker(make(), Road.from_segments([Line(length=1000.0)]))
+    tracker = at.Tracker(make(), at.Road.from_segments([Line(length=1000.0)]))
 
     def calls(first, count):
         for k in range(first, first + count):

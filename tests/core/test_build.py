@@ -77,15 +77,12 @@ def test_sources_that_are_edited_while_they_are_compiled_make_no_library(quick, 
     assert not (quick / library.MANIFEST).exists()
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"", b"\xff\xfe", b"[" * 100_000, b"null", b"[]", b"{}", b'{"sources": []}',
-        *(f'{{"sources": {{}}, "{name}": {table}}}'.encode() for name in ("libraries", "kernels")
-          for table in ('{"x": null}', "1", '[["x", 1]]', '{"x": {"file": 1, "sha256": "0"}}')),
-        b'{"sources": {}, "kernels": {"x": [[]]}}',
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("content", [
+    b"", b"\xff\xfe", b"[" * 100_000, b"null", b"[]", b"{}", b'{"sources": []}',
+    *(f'{{"sources": {{}}, "{name}": {table}}}'.encode() for name in ("libraries", "kernels")
+      for table in ('{"x": null}', "1", '[["x", 1]]', '{"x": {"file": 1, "sha256": "0"}}')),
+    b'{"sources": {}, "kernels": {"x": [[]]}}',
+])  # fmt: skip
 def test_a_damaged_manifest_is_refused_by_name(quick, content):
     (quick / library.MANIFEST).write_bytes(content)
     for read in (library.manifest, library.Library):

@@ -14,11 +14,10 @@ from adaptrack.core.simulation.frame import FRAME
 from adaptrack.core.simulation.run import TRACE_SIGNALS, Frames
 from adaptrack.core.simulation.world import OFF_ROAD, RUNNING
 from adaptrack.drive.batch import Batch
-from adaptrack.road import Arc, Line, Road
-from adaptrack.scenario import RoadDrive
+from adaptrack.road import Arc, Line
 
 CAR = at.load_vehicle("paper")
-CIRCLE = Road.from_segments([Arc(length=2.0 * np.pi * 60.0, curvature=1 / 60.0)], name="circle")
+CIRCLE = at.Road.from_segments([Arc(length=2.0 * np.pi * 60.0, curvature=1 / 60.0)], name="circle")
 
 
 def run_of(controller, scenario, profile="road", traced=False, **options):
@@ -92,8 +91,8 @@ def test_a_run_that_fails_ends_and_says_why():
 
 
 def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
-    straight = Road.from_segments([Line(length=400.0)], name="straight")
-    run, _ = run_of(at.MPC(CAR, profile="paper"), RoadDrive(straight, speed=15.0), "paper")
+    straight = at.Road.from_segments([Line(length=400.0)], name="straight")
+    run, _ = run_of(at.MPC(CAR, profile="paper"), at.RoadDrive(straight, speed=15.0), "paper")
     run.vehicles.start[0, PLANT_STATE.y] = 0.4
     kernel.begin(1, Resident(run))
     numbers, predicted, moves = frames_of(run, [120])
@@ -114,7 +113,7 @@ def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
 
 
 def test_on_a_circle_the_predicted_path_is_the_circle():
-    run, _ = run_of(at.MPC(CAR, profile="paper"), RoadDrive(CIRCLE, speed=10.0), "paper")
+    run, _ = run_of(at.MPC(CAR, profile="paper"), at.RoadDrive(CIRCLE, speed=10.0), "paper")
     numbers, predicted, _ = frames_of(run, [200])
     points = predicted[-1].reshape(-1, 2)
     points = points[np.isfinite(points[:, 0])]

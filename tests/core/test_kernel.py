@@ -1,7 +1,5 @@
 """A kernel is the same function in the library, called by its address, and as the Python that it is."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess
@@ -17,6 +15,7 @@ from adaptrack.core.member import member
 from adaptrack.core.roads.road import foot_about
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.road import Arc, Line, Road
+from programs import run_program
 
 needs_compiled = pytest.mark.skipif(kernel.INTERPRETED, reason="needs compiled kernels")
 
@@ -45,11 +44,10 @@ def test_columns_keep_their_fields_and_the_header_describes_them():
         assert f"/* {field.remark} */" in text
 
 
-@pytest.mark.parametrize(
-    ("lag", "ratio", "required", "optional"),
-    [(0.0, 2.0, True, True), (1.0, 2.0, False, False), (-0.1, 2.0, False, False), (0.5, 0.0, False, False),
-     (0.5, math.inf, True, True), (math.inf, 2.0, False, False), (math.nan, 2.0, False, True)],
-)  # fmt: skip
+@pytest.mark.parametrize(("lag", "ratio", "required", "optional"), [
+    (0.0, 2.0, True, True), (1.0, 2.0, False, False), (-0.1, 2.0, False, False), (0.5, 0.0, False, False),
+    (0.5, math.inf, True, True), (math.inf, 2.0, False, False), (math.nan, 2.0, False, True),
+])  # fmt: skip
 def test_numbers_are_within_the_bounds_of_their_fields_and_unknown_ones_where_they_may_be(
     lag, ratio, required, optional
 ):
@@ -198,11 +196,9 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
     (tmp_path / "adaptrack.h").write_bytes(header.read_bytes())
     (tmp_path / "main.c").write_text(C_PROGRAM.format(count=2, values=f"{low.hex()}, {high.hex()}"))
     command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-o", "program", "main.c"]
-    subprocess.run([*command, str(of_this_processor(built)), "-lm"], cwd=tmp_path, check=True)
-    process = subprocess.run(
-        ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
-    )
-    *sizes, place, answer, station = process.stdout.split()
+    run_program(*command, of_this_processor(built), "-lm", cwd=tmp_path)
+    printed = run_program("./program", cwd=tmp_path, env={"LD_LIBRARY_PATH": str(built)})
+    *sizes, place, answer, station = printed.split()
     expected = [8 * words(Mpc), 8 * words(RoadAheadRecord), 8 * words(MPCSettings), PLANT_STATE.vx]
     assert [int(word) for word in [*sizes, place]] == expected
     assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)

@@ -10,11 +10,10 @@ from adaptrack.core.controllers import mpc
 from adaptrack.core.kernel import Array
 from adaptrack.core.simulation import run as kernel
 from adaptrack.drive.batch import Batch
-from adaptrack.road import Arc, Road
-from adaptrack.scenario import RoadDrive
+from adaptrack.road import Arc
 
 CAR = at.load_vehicle("paper")
-ROAD = RoadDrive(Road.from_segments([Arc(length=300.0, curvature=1 / 80.0)]), speed=12.0)
+ROAD = at.RoadDrive(at.Road.from_segments([Arc(length=300.0, curvature=1 / 80.0)]), speed=12.0)
 LANES = at.load_scenario("double-lane-change")
 
 

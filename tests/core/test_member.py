@@ -3,30 +3,23 @@
 import ctypes.util
 import math
 import pickle
-import subprocess
 import time
 
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import MissingExtra
-from adaptrack.cars.plant import UserPlant
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import MPC, UserController
+import adaptrack as at
 from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED, float64, vector, void
-from adaptrack.core.member import CFunction, member
+from adaptrack.core.member import member
 from adaptrack.core.plants.user import compile_plant
 from adaptrack.core.roads.road import RoadAheadRecord
-from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.simulate import simulate
-from adaptrack.scenario import load_scenario
-from programs import find_program
+from programs import run_program
 from small_cars import PARAMETERS, linear_car
 
 pytestmark = pytest.mark.skipif(INTERPRETED, reason="interpreted kernels call functions of one's own as they are")
 
-CAR = load_vehicle("midsize-sedan")
+CAR = at.load_vehicle("midsize-sedan")
 C_PLANT = """
 #include <math.h>
 #include <stdint.h>
@@ -54,8 +47,8 @@ def law(situation, reference, road, tuning, parameters, memory, answer):
 
 
 def path_of(plant, controller=None):
-    controller = controller or MPC(CAR, profile="road")
-    run = simulate(plant, controller, load_scenario("lane-change"), profile="road")
+    controller = controller or at.MPC(CAR, profile="road")
+    run = at.simulate(plant, controller, at.load_scenario("lane-change"), profile="road")
     assert run.failed is None
     return run.Y
 
@@ -78,28 +71,28 @@ def compiled():
     """Where the compiled plant goes."""
     if not library.can_compile():
         pytest.skip("needs a compiler")
-    return path_of(UserPlant(linear_car, PARAMETERS, mass=1575.0))
+    return path_of(at.UserPlant(linear_car, PARAMETERS, mass=1575.0))
 
 
 def test_a_plant_that_is_called_back_drives_as_the_compiled_one(compiled, no_compiler):
-    assert is_same(path_of(UserPlant(linear_car, PARAMETERS, mass=1575.0)), compiled)
+    assert is_same(path_of(at.UserPlant(linear_car, PARAMETERS, mass=1575.0)), compiled)
 
 
 def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypatch):
-    plant = UserPlant(linear_car, PARAMETERS, mass=1575.0)
-    ours = path_of(plant, UserController(law, memory_size=1))
+    plant = at.UserPlant(linear_car, PARAMETERS, mass=1575.0)
+    ours = path_of(plant, at.UserController(law, memory_size=1))
     monkeypatch.setattr(library, "can_compile", lambda: False)
     function = member(law, void(vector, vector, RoadAheadRecord, vector, vector, vector, vector))
     assert function.calls_python
-    theirs = UserController(law, memory_size=1)
+    theirs = at.UserController(law, memory_size=1)
     theirs._compiled = function
     assert is_same(path_of(plant, theirs), ours)
 
 
 def test_many_runs_ask_for_a_compiler_by_its_command(no_compiler):
-    plant = UserPlant(linear_car, PARAMETERS, mass=1575.0)
-    with pytest.raises(MissingExtra, match=r"linear_car: .*pip install 'adaptrack\[compile\]'"):
-        rollout_batch(plant, MPC(CAR, profile="road"), load_scenario("lane-change"))
+    plant = at.UserPlant(linear_car, PARAMETERS, mass=1575.0)
+    with pytest.raises(at.MissingExtra, match=r"linear_car: .*pip install 'adaptrack\[compile\]'"):
+        at.rollout_batch(plant, at.MPC(CAR, profile="road"), at.load_scenario("lane-change"))
 
 
 def test_what_is_raised_in_a_function_that_is_called_back_is_said_once_and_nothing_of_it_counts(no_compiler, caplog):
@@ -130,17 +123,16 @@ def test_ctrl_c_in_a_function_that_is_called_back_is_heard(no_compiler):
 
 def test_a_plant_in_c_drives_as_ours_alone_and_in_a_batch(tmp_path, compiled):
     (tmp_path / "plant.c").write_text(C_PLANT)
-    command = [find_program("gcc"), "-O2", "-shared", "-fPIC", "-lm", "plant.c", "-o", "plant.so"]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    function = CFunction(str(tmp_path / "plant.so"), "right_hand_side")
-    plant = UserPlant(pickle.loads(pickle.dumps(function)), PARAMETERS, mass=1575.0)
+    run_program("gcc", "-O2", "-shared", "-fPIC", "-lm", "plant.c", "-o", "plant.so", cwd=tmp_path)
+    function = at.CFunction(str(tmp_path / "plant.so"), "right_hand_side")
+    plant = at.UserPlant(pickle.loads(pickle.dumps(function)), PARAMETERS, mass=1575.0)
     assert path_of(plant) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
-    runs = rollout_batch(plant, MPC(CAR, profile="road"), [load_scenario("lane-change")], profile="road")
+    runs = at.rollout_batch(plant, at.MPC(CAR, profile="road"), [at.load_scenario("lane-change")], profile="road")
     assert not runs.failed[0]
 
 
 def test_a_function_that_is_not_in_its_library_is_refused_where_it_is_named():
     with pytest.raises(OSError, match="no_such_library"):
-        CFunction("no_such_library.so", "f")
+        at.CFunction("no_such_library.so", "f")
     with pytest.raises(AttributeError, match="no_such"):
-        CFunction(ctypes.util.find_library("m") or "libm.so.6", "no_such")
+        at.CFunction(ctypes.util.find_library("m") or "libm.so.6", "no_such")

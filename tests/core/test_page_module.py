@@ -9,7 +9,7 @@ pytest.importorskip("ziglang", reason="compiles and links the module")
 from adaptrack.core import library
 from adaptrack.core.build import compile
 from adaptrack.core.build.units import PAGE_KERNELS
-from programs import find_program
+from programs import find_program, run_program
 
 pytestmark = pytest.mark.compiled
 TEXT = """
@@ -50,11 +50,9 @@ def test_a_module_that_needs_a_function_of_others_is_refused(tmp_path):
 
 
 def test_the_module_of_the_page_has_what_the_page_calls_and_nothing_else():
-    node = find_program("node")
     script = "const { Module } = WebAssembly, m = new Module(require('fs').readFileSync(process.argv[1]));"
     script += "console.log(JSON.stringify([Module.imports(m), Module.exports(m).map((e) => e.name)]));"
-    command = [node, "-e", script, str(library.page_module())]
-    imports, exports = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    imports, exports = json.loads(run_program("node", "-e", script, library.page_module()))
     assert imports == []
     assert sorted(exports) == sorted(
         ["memory", "__indirect_function_table", *(f"adaptrack_{name}" for name in PAGE_KERNELS)]

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.speed_control import SpeedControl, SpeedController
+import adaptrack as at
+from adaptrack.control.speed_control import SpeedController
 from adaptrack.core.roads import noise as path_noise
 from adaptrack.core.roads import path
-from adaptrack.road import ROAD_KINDS, Comfort, generate_road, plan_speed, road_through
+from adaptrack.road import ROAD_KINDS, Comfort
 
 pytestmark = pytest.mark.kernels
 
@@ -67,11 +67,11 @@ def largest_curvature(road):
 @pytest.mark.parametrize("kind", ROAD_KINDS)
 @pytest.mark.parametrize("step", [0.2, 1.0, 5.0])
 def test_points_of_a_road_have_no_noise_and_stay_to_the_bit(kind, step):
-    points = points_of(generate_road(kind, seed=1, length=300.0), step)
+    points = points_of(at.generate_road(kind, seed=1, length=300.0), step)
     assert noise_of(points) == 0.0
-    road = road_through(points)
+    road = at.road_through(points)
     assert road.notes == ()
-    assert road.table.pieces.tobytes() == road_through(points, noise=0.0).table.pieces.tobytes()
+    assert road.table.pieces.tobytes() == at.road_through(points, noise=0.0).table.pieces.tobytes()
 
 
 @pytest.mark.parametrize("name", FEATURES)
@@ -100,7 +100,7 @@ def test_noise_of_a_planner_s_twenty_points_is_seldom_missed():
 
 def test_a_specified_noise_makes_the_path_of_the_same_estimated_one():
     points = with_noise(RING[:60], 0.05)
-    estimated, specified = road_through(points), road_through(points, noise=noise_of(points))
+    estimated, specified = at.road_through(points), at.road_through(points, noise=noise_of(points))
     assert estimated.table.pieces.tobytes() == specified.table.pieces.tobytes()
     memory = np.empty(path.path_words(points, False))
     assert path.path_through(points, False, math.nan, memory)[0] == path.OK
@@ -109,10 +109,10 @@ def test_a_specified_noise_makes_the_path_of_the_same_estimated_one():
 
 def test_the_noise_and_the_largest_distance_from_the_points_are_reported():
     points = with_noise(RING[:60], 0.05)
-    road = road_through(points, noise=0.05)
+    road = at.road_through(points, noise=0.05)
     assert road.deviation == pytest.approx(np.abs(road.project(*points.T).offset).max(), rel=1e-6)
     assert road.notes == (f"noise of 0.05 m (given) smoothed: up to {road.deviation:.2g} m from a point",)
-    assert "(estimated)" in road_through(points).notes[0]
+    assert "(estimated)" in at.road_through(points).notes[0]
 
 
 @pytest.mark.compiled
@@ -121,14 +121,14 @@ def test_the_curvature_of_a_noisy_straight_is_negligible(noise):
     """v^2 times its noise is below 0.5 m/s^2 at 30 m/s; through the points it is 4 noises."""
     points = with_noise(swerve(), noise)
     s = np.arange(20.0, 320.0)
-    assert np.std(road_through(points).at(s).curvature) * 30.0**2 < 0.5
-    assert np.std(road_through(points, noise=0.0).at(s).curvature) > 2.0 * noise
+    assert np.std(at.road_through(points).at(s).curvature) * 30.0**2 < 0.5
+    assert np.std(at.road_through(points, noise=0.0).at(s).curvature) > 2.0 * noise
 
 
 @pytest.mark.compiled
 def test_a_path_of_less_noise_is_nearer_to_the_points():
     points = with_noise(RING, 0.05)
-    deviations = [road_through(points, noise=noise).deviation for noise in (1e-9, 1e-6, 1e-3, 0.05)]
+    deviations = [at.road_through(points, noise=noise).deviation for noise in (1e-9, 1e-6, 1e-3, 0.05)]
     assert deviations == sorted(deviations)
     assert deviations[0] < 1e-3
 
@@ -144,13 +144,13 @@ def test_noisy_points_near_to_each_other_make_the_path_of_the_kernel(closed):
         memory = np.empty(3 * path.path_words(points, closed))
         assert path.path_through(points, closed, math.nan, memory)[0] == path.OK
         pieces = path.line_in(memory)[0].pieces
-        assert pieces.tobytes() == road_through(points, closed=closed).table.pieces.tobytes()
+        assert pieces.tobytes() == at.road_through(points, closed=closed).table.pieces.tobytes()
 
 
 @pytest.mark.compiled
 def test_a_lap_is_the_same_wherever_it_begins():
     points = with_noise(RING, 0.05)
-    lap, turned = road_through(points, closed=True), road_through(np.roll(points, 90, axis=0), closed=True)
+    lap, turned = at.road_through(points, closed=True), at.road_through(np.roll(points, 90, axis=0), closed=True)
     assert turned.length == pytest.approx(lap.length, abs=1e-9)
     foot = lap.project(*turned.at(np.linspace(0.0, turned.length, 500))[:2])
     assert np.abs(foot.offset).max() < 1e-9
@@ -159,7 +159,7 @@ def test_a_lap_is_the_same_wherever_it_begins():
 @pytest.mark.compiled
 def test_a_noisy_path_far_from_the_origin_is_the_same_path():
     points = with_noise(RING, 0.05)
-    near, there = road_through(points), road_through(points + 2.0**20)
+    near, there = at.road_through(points), at.road_through(points + 2.0**20)
     s = np.linspace(0.0, near.length, 300)
     assert np.abs(there.at(s).x - 2.0**20 - near.at(s).x).max() < 1e-6
 
@@ -181,26 +181,26 @@ def test_any_noise_leaves_a_path_or_a_status(rng):
 def test_the_peak_of_the_curvature_is_lowered_by_no_more_than_the_noise_asks_for(name):
     """By 3 % at noise of 0.02 and 0.05 m, 5 % at 0.1 m."""
     points, _ = FEATURES[name]
-    true = largest_curvature(road_through(points))
+    true = largest_curvature(at.road_through(points))
     for noise, share in zip(NOISES, (0.03, 0.03, 0.05), strict=True):
-        assert largest_curvature(road_through(points, noise=noise)) > (1.0 - share) * true
+        assert largest_curvature(at.road_through(points, noise=noise)) > (1.0 - share) * true
 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", [name for name in FEATURES if "hairpin" not in name])
 def test_noise_raises_the_lateral_acceleration_by_half_a_metre_per_second_squared_at_most(name):
     points, speed = FEATURES[name]
-    true = largest_curvature(road_through(points))
+    true = largest_curvature(at.road_through(points))
     for noise in NOISES[:2]:
         for seed in range(5):
-            curvature = largest_curvature(road_through(with_noise(points, noise, seed)))
+            curvature = largest_curvature(at.road_through(with_noise(points, noise, seed)))
             assert speed**2 * (curvature - true) < 0.5
 
 
 def mean_governed_speed(road, top_speed):
     """m/s, of a car at the speeds that the governor allows on a path; the plan is not limited by bends."""
-    plan = plan_speed(road, comfort=Comfort(lateral=50.0), top_speed=top_speed)
-    controller = SpeedController(SpeedControl(load_vehicle("midsize-sedan"), friction=0.6), road, plan, 0.05)
+    plan = at.plan_speed(road, comfort=Comfort(lateral=50.0), top_speed=top_speed)
+    controller = SpeedController(at.SpeedControl(at.load_vehicle("midsize-sedan"), friction=0.6), road, plan, 0.05)
     speeds = []
     for station in np.arange(0.0, road.length - 5.0, 2.0):
         controller.step(station, top_speed, math.nan)
@@ -212,9 +212,9 @@ def mean_governed_speed(road, top_speed):
 @pytest.mark.parametrize("kind", ["mountain", "town", "lap"])
 def test_the_governor_lets_a_car_drive_noisy_points_as_fast_as_clean_ones(kind):
     """Mean speed within 5 % at noise of 0.02 and 0.05 m, 10 % at 0.1 m; through the points less than two thirds."""
-    points = points_of(generate_road(kind, seed=1, length=400.0))
-    clean = mean_governed_speed(road_through(points), 18.0)
+    points = points_of(at.generate_road(kind, seed=1, length=400.0))
+    clean = mean_governed_speed(at.road_through(points), 18.0)
     for noise, share in zip(NOISES, (0.05, 0.05, 0.1), strict=True):
         noisy = with_noise(points, noise)
-        assert mean_governed_speed(road_through(noisy), 18.0) == pytest.approx(clean, rel=share)
-        assert mean_governed_speed(road_through(noisy, noise=0.0), 18.0) < 0.67 * clean
+        assert mean_governed_speed(at.road_through(noisy), 18.0) == pytest.approx(clean, rel=share)
+        assert mean_governed_speed(at.road_through(noisy, noise=0.0), 18.0) < 0.67 * clean

@@ -6,10 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import list_vehicles, load_vehicle
-from adaptrack.control.controllers import MPC
+import adaptrack as at
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
@@ -21,13 +18,12 @@ from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.speed.plan import SpeedPlanRecord
 from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong
-from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
+from adaptrack.road import Arc, Comfort, Line, Stop
 from adaptrack.road.road import DRY_FRICTION
 from adaptrack.road.speed import cornering_limit, packed
-from adaptrack.scenario import RoadDrive
 
 pytestmark = pytest.mark.kernels
-CAR = load_vehicle("midsize-sedan")
+CAR = at.load_vehicle("midsize-sedan")
 TURNS = np.linspace(0.0, 2.0 * math.pi, 14, endpoint=False)
 OVAL = np.stack([90.0 * np.cos(TURNS), 50.0 * np.sin(TURNS)], axis=-1)
 BENDS = np.stack([60.0 * np.linspace(0.0, 5.0, 24), 25.0 * np.sin(np.linspace(0.0, 5.0, 24))], axis=-1)
@@ -71,8 +67,8 @@ def plan_of(planning):
 def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_the_bit(points, closed, car):
     bounds = BOUNDS._replace(domain_speed=27.0 if car is None else car.domain.speed[1])
     planning = to_plan(line_through(points, closed), car, friction=DRY_FRICTION.value[0], bounds=bounds)
-    plan, road = plan_of(planning), road_through(points, closed=closed)
-    plan_in_python = plan_speed(road, car)
+    plan, road = plan_of(planning), at.road_through(points, closed=closed)
+    plan_in_python = at.plan_speed(road, car)
     np.testing.assert_array_equal(
         planning.table[[PLAN.s, PLAN.speed, PLAN.time]], [plan_in_python.s, plan_in_python.speed, plan_in_python.time]
     )
@@ -80,10 +76,10 @@ def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_th
     assert plan.duration == plan_in_python.duration
 
     drive, laps = (
-        RoadDrive(road, plan_in_python, laps=2 if closed else 1, reference=0.4, wind=[1.0, -3.0]),
+        at.RoadDrive(road, plan_in_python, laps=2 if closed else 1, reference=0.4, wind=[1.0, -3.0]),
         2 if closed else 1,
     )
-    world = World.of(DualTrack(CAR), MPC(CAR, period=0.05), "paper", None, None, None)
+    world = World.of(at.DualTrack(CAR), at.MPC(CAR, period=0.05), "paper", None, None, None)
     expected = world.samples(drive.sample(0.05), 0)
     count = drive_periods(plan.duration, laps, 0.05)
     samples, pose = np.full((len(SIGNAL), count + 1), np.nan), np.zeros(3)
@@ -97,7 +93,7 @@ def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_th
 # -- true speeds ------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("friction", "bank"), [(0.9, 0.0), (0.25, 0.0), (0.9, 0.05)])
 def test_a_circle_is_driven_at_the_root_of_what_is_felt_times_the_radius(friction, bank):
-    road = Road.from_segments([Arc(length=80.0 * math.pi, curvature=1.0 / 40.0)], closed=True)
+    road = at.Road.from_segments([Arc(length=80.0 * math.pi, curvature=1.0 / 40.0)], closed=True)
     planning = to_plan(road.packed(), friction=friction, bank=bank)
     plan = plan_of(planning)
     felt = min(3.0, 0.9 * friction * GRAVITY * math.cos(bank)) + GRAVITY * math.sin(bank)
@@ -105,19 +101,20 @@ def test_a_circle_is_driven_at_the_root_of_what_is_felt_times_the_radius(frictio
 
 
 def test_a_straight_road_is_driven_at_the_top_speed():
-    line = Road.from_segments([Line(length=900.0)]).packed()
+    line = at.Road.from_segments([Line(length=900.0)]).packed()
     for top, speed in ((math.nan, 27.0), (41.0, 41.0)):
         assert (plan_of(to_plan(line, bounds=BOUNDS._replace(top_speed=top))).speed == speed).all()
 
 
 @pytest.mark.parametrize(
-    ("name", "grade"), [*((name, 0.0) for name in list_vehicles()), ("midsize-sedan", 0.12), ("midsize-sedan", -0.12)]
+    ("name", "grade"),
+    [*((name, 0.0) for name in at.list_vehicles()), ("midsize-sedan", 0.12), ("midsize-sedan", -0.12)],
 )
 def test_nowhere_is_more_asked_of_tyres_engine_and_brakes_than_they_have(name, grade):
     # at both ends of every cell, with the car's own numbers and the formulas of the textbook
-    car, road = load_vehicle(name), generate_road("mountain", seed=5, length=700.0, grade=grade)
+    car, road = at.load_vehicle(name), at.generate_road("mountain", seed=5, length=700.0, grade=grade)
     comfort = Comfort(lateral=20.0, accelerate=20.0, brake=20.0, lateral_jerk=math.inf)
-    plan = plan_speed(road, car, comfort, start=2.0, top_speed=60.0)
+    plan = at.plan_speed(road, car, comfort, start=2.0, top_speed=60.0)
     first, last = road.table.at(plan.s[:-1], 1).curvature, road.table.at(plan.s[1:], -1).curvature
     bend = np.maximum(np.abs(first), np.abs(last))
     weight = GRAVITY * math.cos(math.atan(grade))
@@ -139,9 +136,9 @@ def test_nowhere_is_more_asked_of_tyres_engine_and_brakes_than_they_have(name, g
 
 # -- slopes -----------------------------------------------------------------------------------------------------------
 def test_a_truck_at_full_power_climbs_at_the_speed_at_which_its_power_is_used_up():
-    truck = load_vehicle("van").replace(engine_power=40e3)
-    road = Road.from_segments([Line(length=9000.0)], grade=([400.0, 401.0], [0.0, 0.05]))
-    plan, theta = plan_speed(road, truck, start=20.0), math.atan(0.05)
+    truck = at.load_vehicle("van").replace(engine_power=40e3)
+    road = at.Road.from_segments([Line(length=9000.0)], grade=([400.0, 401.0], [0.0, 0.05]))
+    plan, theta = at.plan_speed(road, truck, start=20.0), math.atan(0.05)
     v = plan.speed[-1]
     air = 0.5 * truck.air_density * truck.frontal_area * truck.drag_coefficient * v**2
     load = truck.mass * GRAVITY * (math.sin(theta) + truck.rolling_resistance * math.cos(theta))
@@ -152,7 +149,7 @@ def test_a_truck_at_full_power_climbs_at_the_speed_at_which_its_power_is_used_up
 
 @pytest.mark.parametrize("grade", [0.1, -0.1])
 def test_brakes_and_tyres_stop_a_car_on_a_slope_in_the_distance_of_the_textbook(grade):
-    line, friction = Road.from_segments([Line(length=300.0)]).packed(), 0.2  # the tyres bound it, not comfort
+    line, friction = at.Road.from_segments([Line(length=300.0)]).packed(), 0.2  # the tyres bound it, not comfort
     plan = plan_of(to_plan(line, friction=friction, bounds=BOUNDS._replace(end=0.0), grade=grade))
     theta = math.atan(grade)
     deceleration = GRAVITY * (0.9 * friction * math.cos(theta) + math.sin(theta))
@@ -163,7 +160,7 @@ def test_brakes_and_tyres_stop_a_car_on_a_slope_in_the_distance_of_the_textbook(
 
 
 def test_a_bend_on_a_descent_leaves_the_tyres_what_holds_the_speed():
-    line, theta = Road.from_segments([Arc(length=200.0, curvature=1.0 / 60.0)]).packed(), math.atan(0.12)
+    line, theta = at.Road.from_segments([Arc(length=200.0, curvature=1.0 / 60.0)]).packed(), math.atan(0.12)
     grip, slope = 0.9 * 0.25 * GRAVITY * math.cos(theta), GRAVITY * math.sin(theta)
     down, up = (plan_of(to_plan(line, friction=0.25, grade=grade)) for grade in (-0.12, 0.12))
     np.testing.assert_allclose(down.speed**2, 60.0 * math.sqrt(grip**2 - slope**2), rtol=1e-9)
@@ -173,7 +170,7 @@ def test_a_bend_on_a_descent_leaves_the_tyres_what_holds_the_speed():
 
 def test_a_run_up_carries_a_car_over_a_short_ramp_that_stops_it_from_standstill():
     grade = AlongRecord(np.array([0.0, 100.0, 120.0]), np.array([0.0, 0.3, 0.0]), 1)
-    line = Road.from_segments([Line(length=200.0)]).packed()
+    line = at.Road.from_segments([Line(length=200.0)]).packed()
     for start, status in ((15.0, kernel.OK), (5.0, kernel.TOO_SLIPPERY)):
         planning = to_plan(line, friction=0.2, bounds=BOUNDS._replace(start=start, top_speed=max(start, 5.0)))
         planning = planning._replace(route=planning.route._replace(grade=grade))
@@ -194,16 +191,16 @@ def test_a_run_up_carries_a_car_over_a_short_ramp_that_stops_it_from_standstill(
 )
 def test_a_grade_on_which_a_car_cannot_go_on_is_refused_with_its_place(grade, changes, message):
     numbers = dict(changes)
-    road = Road.from_segments(
+    road = at.Road.from_segments(
         [Line(length=900.0)], grade=PythonAlong(s=(0.0, 50.0), value=(0.0, grade), kind="steps"),
         friction=numbers.pop("friction", 0.9), speed_limit=8.0,
     )  # fmt: skip
-    with pytest.raises(InvalidInput, match=message):
-        plan_speed(road, CAR.replace(**numbers))
+    with pytest.raises(at.InvalidInput, match=message):
+        at.plan_speed(road, CAR.replace(**numbers))
 
 
 def test_a_climb_takes_from_the_drive_what_a_descent_adds():
-    line = Road.from_segments([Line(length=60.0)]).packed()
+    line = at.Road.from_segments([Line(length=60.0)]).packed()
     bounds = BOUNDS._replace(accelerate=20.0, start=0.0, top_speed=60.0)
     up, down = (plan_of(to_plan(line, bounds=bounds, friction=0.3, grade=grade)) for grade in (0.1, -0.1))
     theta = math.atan(0.1)
@@ -230,7 +227,7 @@ def test_a_lap_is_periodic_and_no_other_lap_is_faster():
     ({"bounds": {"lateral": math.nan}}, kernel.NO_BOUNDS, 0.0),
 ])  # fmt: skip
 def test_what_is_not_possible_is_a_status_with_its_number(changes, status, value):
-    line = Road.from_segments([Line(length=50.0)]).packed()
+    line = at.Road.from_segments([Line(length=50.0)]).packed()
     bounds = BOUNDS._replace(**changes.get("bounds", {}))
     code = kernel.plan_along_road(to_plan(line, bounds=bounds, bank=changes.get("bank", 0.0)))
     assert code[0] == status
@@ -241,20 +238,20 @@ def test_what_is_not_possible_is_a_status_with_its_number(changes, status, value
 def test_what_lies_along_a_road_is_read_as_it_is_written():
     s, value = (0.0, 10.0, 10.5, 40.0), (1.0, 3.0, 2.0, 5.0)
     linear, steps = PythonAlong(s=s, value=value), PythonAlong(s=s, value=value, kind="steps")
-    at = np.array([-5.0, 0.0, 4.0, 10.0, 10.25, 39.9, 40.0, 99.0])
-    np.testing.assert_array_equal(linear.at(at), np.interp(at, s, value))
-    np.testing.assert_array_equal(steps.at(at), [1.0, 1.0, 1.0, 3.0, 3.0, 2.0, 5.0, 5.0])
+    places = np.array([-5.0, 0.0, 4.0, 10.0, 10.25, 39.9, 40.0, 99.0])
+    np.testing.assert_array_equal(linear.at(places), np.interp(places, s, value))
+    np.testing.assert_array_equal(steps.at(places), [1.0, 1.0, 1.0, 3.0, 3.0, 2.0, 5.0, 5.0])
     assert linear.at(4.0).shape == ()
     assert linear.replace(kind="steps") == steps
     fine = np.linspace(-5.0, 50.0, 5501)
-    for first, other in itertools.combinations(at.tolist(), 2):
+    for first, other in itertools.combinations(places.tolist(), 2):
         inside = fine[(fine >= first) & (fine <= other)]
         for along in (linear, steps):
             assert along.least(first, other)[0] == pytest.approx(along.at(inside).min(), abs=1e-9)
 
 
 def test_the_edges_of_a_road_are_its_widths_away_from_it():
-    road = generate_road("mountain", seed=1, length=200.0, width_left=([0.0, 200.0], [1.0, 3.0]), width_right=2.0)
+    road = at.generate_road("mountain", seed=1, length=200.0, width_left=([0.0, 200.0], [1.0, 3.0]), width_right=2.0)
     s = np.linspace(0.0, road.length, 41)
     left, right = road.edges(s.reshape(1, 41))
     assert left.shape == right.shape == (1, 41, 2)
@@ -266,8 +263,8 @@ def test_the_edges_of_a_road_are_its_widths_away_from_it():
 
 # -- in time ----------------------------------------------------------------------------------------------------------
 def test_a_plan_in_time_is_at_its_places_when_it_says_and_stands_at_stops():
-    road = generate_road("lap", seed=1, length=600.0)
-    plan = plan_speed(road, CAR, stops=[Stop(50.0, 3.0), Stop(400.0, 2.0), Stop(50.0, 1.0)])
+    road = at.generate_road("lap", seed=1, length=600.0)
+    plan = at.plan_speed(road, CAR, stops=[Stop(50.0, 3.0), Stop(400.0, 2.0), Stop(50.0, 1.0)])
     for lap in (0, 1, 7):
         s, v = plan.motion(plan.time + lap * plan.duration)
         np.testing.assert_allclose(s - lap * road.length, plan.s, atol=1e-6)

@@ -5,16 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.core import library
+from adaptrack.core import library, public
 from adaptrack.core.kernel import INTERPRETED, float64, vector, void
 from adaptrack.core.member import CFunction, UserFunction, _called_back, member
 from adaptrack.core.plants.user import layout_of
-from adaptrack.core.public import atan2, exp, fma, local, sin
 
 pytestmark = pytest.mark.skipif(INTERPRETED or not library.can_compile(), reason="needs the compiler for C")
 SIGNATURE = void(vector, vector)
 GAINS = np.array([0.5, 2.0, -1.0])
-work = local(3)
+work = public.local(3)
 
 
 def arithmetic(a, out):
@@ -39,9 +38,9 @@ def elementary(a, out):
 
 def kernels(a, out):
     """Functions of `core.public`."""
-    out[0] = sin(a[0]) + atan2(a[0], a[1])
-    out[1] = fma(a[0], a[1], -a[0] * a[1])
-    out[2] = exp(-abs(a[0]))
+    out[0] = public.sin(a[0]) + public.atan2(a[0], a[1])
+    out[1] = public.fma(a[0], a[1], -a[0] * a[1])
+    out[2] = public.exp(-abs(a[0]))
 
 
 def helper(x, scale=2.0):

@@ -8,18 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from adaptrack.control.controllers import Tuning
-from adaptrack.control.scheduling import (
-    ENTRIES,
-    VARIABLES,
-    Guarded,
-    Learned,
-    Network,
-    SchedulingVariables,
-    StabilityMap,
-    Sugeno,
-    Table,
-)
+import adaptrack as at
+from adaptrack.control.scheduling import ENTRIES, VARIABLES, Network, StabilityMap, Sugeno, Table
 from adaptrack.control.scheduling.functions import ANY
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.scheduling import functions, guard
@@ -28,7 +18,7 @@ from small_models import line, random_network, random_sugeno, random_table, stab
 
 pytestmark = pytest.mark.kernels
 
-FALLBACK = Tuning(25, 6, 1.0, 100.0)
+FALLBACK = at.Tuning(25, 6, 1.0, 100.0)
 
 
 def by_kernel(function, x):
@@ -127,7 +117,7 @@ class Drive:
 
     def __call__(self, slot=0, **variables):
         values = {"speed": 10.0, "y_ref": 0.0, "friction": 0.8, "wind": 0.0, **variables}
-        row = np.array(SchedulingVariables(**values), dtype=float)
+        row = np.array(at.SchedulingVariables(**values), dtype=float)
         kernel.schedule(slot, row, self.plan, self.tuning[slot])
         return self.tuning[slot].tolist()
 
@@ -138,16 +128,16 @@ class Drive:
 def speedy(**functions):
     """A schedule by speed within 0..20 m/s: Np = 20 + speed, and the rest constant unless told."""
     entries = {"Np": line(0.0, 20.0, 20.0, 40.0), "Nc": 5.0, "Q": 1.0, "R": 100.0} | functions
-    return Learned(entries, ("speed",), [[0.0, 20.0]])
+    return at.Learned(entries, ("speed",), [[0.0, 20.0]])
 
 
 @pytest.mark.parametrize("place", range(len(VARIABLES)))
 def test_every_variable_can_be_the_input(place):
     name = list(VARIABLES)[place]
-    schedule = Learned({"Np": line(0.0, 20.0, 20.0, 40.0), "Nc": 5.0, "Q": 1.0, "R": 1.0}, (name,), [[0.0, 20.0]])
+    schedule = at.Learned({"Np": line(0.0, 20.0, 20.0, 40.0), "Nc": 5.0, "Q": 1.0, "R": 1.0}, (name,), [[0.0, 20.0]])
     row = np.zeros(len(VARIABLES))
     row[place] = 7.0
-    assert schedule(SchedulingVariables(*row)) == (27.0, 5.0, 1.0, 1.0)
+    assert schedule(at.SchedulingVariables(*row)) == (27.0, 5.0, 1.0, 1.0)
 
 
 def test_inputs_outside_the_domain_are_clipped_and_counted():
@@ -168,7 +158,7 @@ def test_an_input_that_is_no_number_keeps_the_last_tuning_and_is_counted(nothing
 
 
 def test_an_entry_by_its_logarithm_is_ten_to_the_power_of_its_function():
-    schedule = Learned({"Np": 30.0, "Nc": 5.0, "log10_ratio": line(0.0, 20.0, -1.0, 3.0)}, ("speed",), [[0.0, 20.0]])
+    schedule = at.Learned({"Np": 30.0, "Nc": 5.0, "log10_ratio": line(0.0, 20.0, -1.0, 3.0)}, ("speed",), [[0.0, 20.0]])
     drive = Drive(schedule)
     for speed, ratio in ((0.0, 0.1), (5.0, 1.0), (10.0, 10.0), (20.0, 1000.0)):
         assert drive(speed=speed)[2:] == [1.0, pytest.approx(ratio, rel=1e-14)]
@@ -184,7 +174,7 @@ def test_horizons_are_rounded_halves_upwards_and_weights_are_not():
 def test_values_are_held_within_the_bounds_of_their_entry():
     bounds = {"Np": (10, 25), "Nc": (2, 4), "Q": (0.5, 2.0), "R": (1.0, 10.0)}
     wild = {name: line(0.0, 20.0, -1e3, 1e3) for name in ENTRIES}
-    drive = Drive(Learned(wild, ("speed",), [[0.0, 20.0]], bounds))
+    drive = Drive(at.Learned(wild, ("speed",), [[0.0, 20.0]], bounds))
     assert drive(speed=0.0) == [10.0, 2.0, 0.5, 1.0]
     assert drive(speed=20.0) == [25.0, 4.0, 2.0, 10.0]
 
@@ -201,7 +191,7 @@ def test_every_run_has_a_memory_of_its_own():
 # -- the guard --------------------------------------------------------------------------------------------------------
 def test_a_guard_limits_how_fast_the_tuning_changes():
     functions = {"Nc": line(0.0, 20.0, 2.0, 12.0), "R": line(0.0, 20.0, 10.0, 1e4)}
-    drive = Drive(Guarded(speedy(**functions), FALLBACK, rates=(5, 2, 0.5)))
+    drive = Drive(at.Guarded(speedy(**functions), FALLBACK, rates=(5, 2, 0.5)))
     assert drive(speed=0.0) == [20.0, 2.0, 1.0, 10.0]  # the first one is free
     steps = [drive(speed=20.0) for _ in range(8)]
     assert [step[0] for step in steps] == [25, 30, 35, 40, 40, 40, 40, 40]
@@ -215,14 +205,14 @@ def test_a_guard_limits_how_fast_the_tuning_changes():
 
 def test_it_is_the_ratio_of_the_weights_that_a_guard_limits():
     weights = {"Q": line(0.0, 20.0, 1.0, 100.0), "R": line(0.0, 20.0, 5.0, 500.0)}
-    drive = Drive(Guarded(speedy(Np=30.0, **weights), FALLBACK, rates=(5, 2, 0.01)))
+    drive = Drive(at.Guarded(speedy(Np=30.0, **weights), FALLBACK, rates=(5, 2, 0.01)))
     drive(speed=0.0)
     assert drive(speed=20.0) == [30.0, 5.0, 100.0, pytest.approx(500.0)]  # R/Q is the same
     assert drive.counts()["rate_limited"] == 0
 
 
 def test_far_outside_the_domain_the_fallback_is_used_for_some_steps():
-    drive = Drive(Guarded(speedy(), FALLBACK, slack=0.25, hold=4, rates=(100, 100, 10.0)))
+    drive = Drive(at.Guarded(speedy(), FALLBACK, slack=0.25, hold=4, rates=(100, 100, 10.0)))
     assert drive(speed=24.9)[0] == 40.0  # a quarter of 20 m/s beyond the edge is still trusted, clipped
     assert drive(speed=25.1) == FALLBACK.as_array().tolist()
     assert [drive(speed=10.0)[3] for _ in range(5)] == [100.0] * 5
@@ -234,7 +224,7 @@ def test_far_outside_the_domain_the_fallback_is_used_for_some_steps():
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_an_offset_that_the_grip_cannot_take_back_in_time_calls_for_the_fallback(side):
-    drive = Drive(Guarded(speedy(), FALLBACK, offset_limit=0.06, hold=2, rates=(100, 100, 10.0)))
+    drive = Drive(at.Guarded(speedy(), FALLBACK, offset_limit=0.06, hold=2, rates=(100, 100, 10.0)))
     limit = 0.06 * 0.5 * GRAVITY  # m, on a friction of 0.5
     used = [
         drive(speed=10.0, friction=0.5, offset=side * share * limit)[0] == FALLBACK.Np
@@ -248,7 +238,7 @@ def test_an_offset_that_the_grip_cannot_take_back_in_time_calls_for_the_fallback
 
 def test_a_guard_interpolates_the_stability_map():
     slow_only = stability_map(lambda speed, *_: 1.35 if speed > 15.0 else 0.9)  # 0.99 at 12 m/s
-    drive = Drive(Guarded(speedy(), FALLBACK, stability=slow_only, hold=1, rates=(100, 100, 10.0)))
+    drive = Drive(at.Guarded(speedy(), FALLBACK, stability=slow_only, hold=1, rates=(100, 100, 10.0)))
     assert drive(speed=11.9)[0] == 32.0
     assert drive(speed=12.1)[0] == FALLBACK.Np  # no tuning is far enough there: all the way
     assert drive.counts()["unstable"] == 1
@@ -257,7 +247,7 @@ def test_a_guard_interpolates_the_stability_map():
 
 def test_a_tuning_too_near_instability_gives_way_only_as_far_as_it_must():
     long_ones = stability_map(lambda speed, friction, Np, *_: 1.5 if Np > 30 else 0.9)  # 0.99 at Np = 34.5
-    drive = Drive(Guarded(speedy(Np=60.0), Tuning(20, 5, 1.0, 0.1), stability=long_ones, rates=(100, 100, 10.0)))
+    drive = Drive(at.Guarded(speedy(Np=60.0), at.Tuning(20, 5, 1.0, 0.1), stability=long_ones, rates=(100, 100, 10.0)))
     assert drive(speed=10.0)[0] == 28.0  # 60, 52, 44, 36, 28: four of the five stages to 20
     assert drive.counts()["unstable"] == 1
     assert drive.counts()["fallback"] == 0
@@ -272,12 +262,12 @@ def test_a_tuning_too_near_instability_gives_way_only_as_far_as_it_must():
     (lambda speed, friction, Np, Nc, ratio: ratio >= 3, {}, {"Q": 1e-2, "R": 10.0}),
 ], ids=["speed", "friction", "Np", "Nc", "R", "ratio"])  # fmt: skip
 def test_every_axis_of_the_stability_map_is_looked_at(value, condition, functions):
-    where = stability_map(lambda *at: 1.3 if value(*at) else 0.5)
+    where = stability_map(lambda *node: 1.3 if value(*node) else 0.5)
     plain = {"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 0.1, **functions}
-    drive = Drive(Guarded(speedy(**plain), FALLBACK, stability=where))
+    drive = Drive(at.Guarded(speedy(**plain), FALLBACK, stability=where))
     drive(**condition)
     assert drive.counts()["unstable"] == 1
-    calm = Drive(Guarded(speedy(**plain), FALLBACK, stability=stability_map(lambda *_: 0.5)))
+    calm = Drive(at.Guarded(speedy(**plain), FALLBACK, stability=stability_map(lambda *_: 0.5)))
     assert calm(**condition) == [plain[entry] for entry in ENTRIES]
 
 
@@ -286,8 +276,8 @@ def test_a_limited_tuning_that_would_be_unstable_on_its_way_gives_way_too():
     radius = np.full([len(axis) for axis in axes], 0.5)
     radius[:, :, 2:4] = 2.0  # Np from 20 to 40
     between = StabilityMap(Table(axes, radius))
-    schedule = Guarded(
-        speedy(Np=line(0.0, 20.0, 12.0, 55.0)), Tuning(11, 5, 1.0, 100.0), stability=between, rates=(5, 2, 1.0)
+    schedule = at.Guarded(
+        speedy(Np=line(0.0, 20.0, 12.0, 55.0)), at.Tuning(11, 5, 1.0, 100.0), stability=between, rates=(5, 2, 1.0)
     )
     drive = Drive(schedule)
     assert drive(speed=0.0)[0] == 12.0
@@ -308,9 +298,9 @@ def test_whatever_comes_in_what_goes_out_can_be_used(conditions, seed, guarded):
     kinds = [random_network(rng, 4), random_sugeno(rng, 4), random_table(rng, 4, "nearest"), 5.0]
     functions = {entry: kinds[i] for entry, i in zip(ENTRIES, rng.integers(0, 4, 4), strict=True)}
     bounds = {"Np": (1, 60), "Nc": (1, 20), "Q": (0.1, 10.0), "R": (0.01, 100.0)}
-    schedule = Learned(functions, ("speed", "y_ref", "friction", "wind"), [[-10.0, 10.0]] * 4, bounds)
+    schedule = at.Learned(functions, ("speed", "y_ref", "friction", "wind"), [[-10.0, 10.0]] * 4, bounds)
     if guarded:
-        schedule = Guarded(schedule, FALLBACK, stability=stability_map(lambda *_: rng.uniform(0.9, 1.0)))
+        schedule = at.Guarded(schedule, FALLBACK, stability=stability_map(lambda *_: rng.uniform(0.9, 1.0)))
     drive = Drive(schedule)
     before = None
     for values in conditions:

@@ -1,10 +1,7 @@
 """Constant numbers of controllers, from a car, a belief and a tuning, by kernels in memory of the caller's."""
 
-from __future__ import annotations
-
 import math
 import random
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +9,6 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 import adaptrack as at
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers.learned_car import Learning
 from adaptrack.core import library
 from adaptrack.core.estimators import learning
 from adaptrack.core.kernel import row_of
@@ -23,9 +18,9 @@ from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, laws, mpc, tuning
 from adaptrack.core.synthesis.learner import learner_memory
 from by_kernels import CASES, make_order
-from programs import find_program
+from programs import run_program
 
-SEDAN = load_vehicle("midsize-sedan")
+SEDAN = at.load_vehicle("midsize-sedan")
 UNTOUCHED = -1234.5
 
 
@@ -195,7 +190,7 @@ def test_sensors_that_are_off_or_too_good_are_left_out():
 @pytest.mark.parametrize("counts", [(1, 1), (2, 4), (3, 2)], ids=str)
 def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
     """Mean and variance of what is believed are those of the filters', and the delay's that of the sum."""
-    learner = at.MPC(SEDAN, learning=Learning(lags=counts[0], dead_times=counts[1])).learner
+    learner = at.MPC(SEDAN, learning=at.Learning(lags=counts[0], dead_times=counts[1])).learner
     memory, n = learner.fresh(), counts[0] * counts[1]
     hypotheses = [learning.hypothesis(i, learner.commands, memory) for i in range(n)]
     pairs = np.array(
@@ -221,7 +216,7 @@ def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
 
 def test_what_comes_and_goes_keeps_its_spread():
     """The variance of a first-order Gauss-Markov process stays what it is: drift/(1 - left^2)."""
-    learner = at.MPC(SEDAN, learning=Learning(), period=0.02).learner
+    learner = at.MPC(SEDAN, learning=at.Learning(), period=0.02).learner
     p = learning.parameters_of(learner.parameters(), 0)
     assert math.sqrt(p.drift_bank / (1.0 - p.bank_left**2)) == pytest.approx(p.method.bank, rel=1e-3)
     friction_sigma = math.sqrt(p.drift_friction / (1.0 - p.friction_left**2))
@@ -281,7 +276,7 @@ def test_a_system_that_cannot_be_steered_is_a_status():
 
 
 def test_the_gains_of_the_lqr_are_those_of_scipy():
-    vehicle = load_vehicle("van")
+    vehicle = at.load_vehicle("van")
     lqr = at.LQR(vehicle, q_e=2.0, q_heading=50.0, r=800.0, period=0.05)
     grid = lqr.parameters()[len(laws.lqr.PARAMETERS) :].reshape(
         laws.GAIN_SPEED_COUNT, laws.GAIN_WEIGHTS, laws.GAIN_WEIGHTS, 4
@@ -304,7 +299,7 @@ def words_of(row):
 @pytest.mark.parametrize("case", CASES)
 def test_the_numbers_of_an_mpc_are_all_there_without_python(case):
     """Those of the controller that Python makes."""
-    vehicle = load_vehicle("van")
+    vehicle = at.load_vehicle("van")
     order, numbers = make_order(vehicle, CASES[case])
     assert mpc.informed_numbers(order, numbers) == mpc.OK
     fresh = np.full(numbers.learned, UNTOUCHED)
@@ -350,7 +345,7 @@ def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written():
 
 
 def test_the_papers_mpc_has_the_numbers_of_its_table():
-    vehicle, rows = load_vehicle("paper"), mpc.MPCNumbers.new(1)
+    vehicle, rows = at.load_vehicle("paper"), mpc.MPCNumbers.new(1)
     numbers = rows[0]
     assert mpc.published_numbers(vehicle.numbers, 0.1, numbers) == mpc.OK
     batch = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
@@ -370,14 +365,13 @@ def test_the_papers_mpc_has_the_numbers_of_its_table():
 @pytest.mark.compiled
 def test_a_program_in_c_makes_the_same_controller(tmp_path):
     """From mass and wheelbase alone, by the header's names; it is compiled against the library as it is."""
-    compiler = find_program("gcc")
     loaded = library.loaded()
     if not isinstance(loaded, library.Library) or loaded.edited:
         pytest.skip("needs the library of these sources")
     program = Path(__file__).parents[1] / "processors" / "make.c"
     files = f"-I{library.BUILT_FOLDER}", str(program), str(loaded.path), "-o", str(tmp_path / "make")
-    subprocess.run([compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm"], check=True)
-    subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
+    run_program("gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm")
+    run_program(str(tmp_path / "make"), tmp_path / "answers")
     answers = np.fromfile(tmp_path / "answers")
 
     controller = at.MPC(at.vehicle_from_data_sheet("mine", 1500.0, 2.7))

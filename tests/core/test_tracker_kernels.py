@@ -1,38 +1,35 @@
 """A tracker as kernels: whole calls with a compiled controller, what hostile calls give, hints, schedules."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import LQR, MPC, Learning, PurePursuit, Stanley, Tuning, published_mpc
-from adaptrack.control.scheduling import SchedulingVariables, load_scheduler
-from adaptrack.control.tracker import Status, Tracker, packed_plan, tracking_of
+import adaptrack as at
+from adaptrack.control.tracker import packed_plan, tracking_of
 from adaptrack.core.kernel import direct, fields_of
 from adaptrack.core.tracker.signals import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow, tracker_take
-from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
+from adaptrack.road import Arc, Line
 from adaptrack.road.road_ahead import pack_roads, stacked
 from tracker_calls import called_back, calls, in_python
 
 pytestmark = pytest.mark.kernels
-CAR = load_vehicle("paper")
-ROAD = generate_road("country", seed=1, length=800.0)
-PLAN = plan_speed(ROAD, CAR)
-CIRCLE = Road.from_segments([Arc(length=200.0 * math.pi, curvature=1 / 100)], closed=True)
-TWICE_AROUND = Road.from_segments([Arc(length=800.0 * math.pi, curvature=1 / 200)])
+CAR = at.load_vehicle("paper")
+ROAD = at.generate_road("country", seed=1, length=800.0)
+PLAN = at.plan_speed(ROAD, CAR)
+CIRCLE = at.Road.from_segments([Arc(length=200.0 * math.pi, curvature=1 / 100)], closed=True)
+TWICE_AROUND = at.Road.from_segments([Arc(length=800.0 * math.pi, curvature=1 / 200)])
 """Two laps as an open road: each place of it comes twice."""
 MAKERS = {
-    "informed": lambda: MPC(CAR, profile="road"), "informed, late samples": lambda: MPC(CAR, profile="production"),
-    "learning": lambda: MPC(CAR, profile="road", learning=Learning()),
-    "published": lambda: published_mpc(CAR, Tuning(35, 8, 1.0, 3000.0), period=0.05),
-    "LQR": lambda: LQR(CAR, period=0.05), "Stanley": lambda: Stanley(CAR, period=0.05),
-    "pure pursuit": lambda: PurePursuit(CAR, period=0.05),
+    "informed": lambda: at.MPC(CAR, profile="road"),
+    "informed, late samples": lambda: at.MPC(CAR, profile="production"),
+    "learning": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
+    "published": lambda: at.published_mpc(CAR, at.Tuning(35, 8, 1.0, 3000.0), period=0.05),
+    "LQR": lambda: at.LQR(CAR, period=0.05), "Stanley": lambda: at.Stanley(CAR, period=0.05),
+    "pure pursuit": lambda: at.PurePursuit(CAR, period=0.05),
 }  # fmt: skip
 
 
@@ -60,7 +57,7 @@ def call(tracking, step, *numbers):
 @pytest.mark.compiled
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rng):
-    tracker, tracking = Tracker(called_back(make()), ROAD, plan=PLAN), tracking_of(make(), ROAD, PLAN)
+    tracker, tracking = at.Tracker(called_back(make()), ROAD, plan=PLAN), tracking_of(make(), ROAD, PLAN)
     step = stepper(tracking)
     for k, row in enumerate(calls(rng, 400, ROAD)):
         if not (math.isfinite(row[0]) or math.isfinite(row[1])):  # the class needs a time
@@ -124,7 +121,7 @@ def test_without_a_path_the_command_is_held():
 # -- where the car begins ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("near", "lap"), [(300.0, 0), (1500.0, 1), (None, 0)])
 def test_a_hint_says_on_which_lap_the_car_is(near, lap):
-    tracker = Tracker(Stanley(CAR, period=0.05), TWICE_AROUND)
+    tracker = at.Tracker(at.Stanley(CAR, period=0.05), TWICE_AROUND)
     tracker.engage(near=near)
     place = TWICE_AROUND.at(150.0)
     step = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
@@ -136,10 +133,10 @@ def test_a_hint_says_on_which_lap_the_car_is(near, lap):
 
 
 def test_a_car_that_is_not_about_the_hint_is_off_its_path():
-    straight = Road.from_segments([Line(length=2000.0)])
-    tracker = Tracker(Stanley(CAR, period=0.05), straight)
+    straight = at.Road.from_segments([Line(length=2000.0)])
+    tracker = at.Tracker(at.Stanley(CAR, period=0.05), straight)
     tracker.engage(near=1900.0)
-    assert tracker.step(0.0, 100.0, 0.0, 0.0, 10.0).status is Status.OFF_PATH
+    assert tracker.step(0.0, 100.0, 0.0, 0.0, 10.0).status is at.Status.OFF_PATH
     tracker.engage(near=450.0)
     assert tracker.step(0.1, 100.0, 0.0, 0.0, 10.0).station == pytest.approx(100.0)
 
@@ -149,17 +146,17 @@ def test_a_car_that_is_not_about_the_hint_is_off_its_path():
     ("conditions", "friction", "wind"), [((0.5, 6.0), 0.5, 6.0), ((math.nan, math.nan), 0.65, 0.0)]
 )
 def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(conditions, friction, wind):
-    scheduler = replace(load_scheduler("road-nn"), guard=None)
-    tracking, step = compiled(published_mpc(CAR, scheduler=scheduler, period=0.05))
+    scheduler = replace(at.load_scheduler("road-nn"), guard=None)
+    tracking, step = compiled(at.published_mpc(CAR, scheduler=scheduler, period=0.05))
     answer = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 15.0, 0.0, 0.0, math.nan, math.nan, *conditions)
-    expected = scheduler(SchedulingVariables(15.0, 0.0, friction, wind, offset=-answer[TRACKED.offset]))
+    expected = scheduler(at.SchedulingVariables(15.0, 0.0, friction, wind, offset=-answer[TRACKED.offset]))
     assert tracking.controller.tuning[0].tolist() == pytest.approx(list(expected), rel=1e-12)
 
 
 # -- the plan of the speed --------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("closed", [False, True])
 def test_between_the_places_of_a_plan_the_square_of_the_speed_is_straight(closed, rng):
-    plan = plan_speed(CIRCLE, CAR, stops=[100.0]) if closed else PLAN
+    plan = at.plan_speed(CIRCLE, CAR, stops=[100.0]) if closed else PLAN
     s = np.concatenate([rng.uniform(-500.0, 2000.0, 200), plan.s[:5], plan.s[-5:], [math.nan, 1e9, -1e9]])
     inside = s - np.floor(s / plan.s[-1]) * plan.s[-1] if closed else s
     np.testing.assert_allclose(plan.at(s), np.sqrt(np.interp(inside, plan.s, plan.speed**2)), rtol=1e-15, atol=0.0)

@@ -39,46 +39,57 @@ def body_of(tmp_path, text, signature):
 
 
 NUMBER = kernel.float64(kernel.float64)
+TAKE = """
+@inlined
+def take(v):
+    v[0] += 1.0
+    return v[0]
+
+def f(v):
+    return """
 VECTOR = kernel.float64(kernel.vector)
 
 
-@pytest.mark.parametrize(
-    ("text", "signature", "line", "remedy"),
-    [
-        ("def f(x):\n    try:\n        return x\n    except ValueError:\n        return 0.0", NUMBER, 2, "has no Try"),
-        ("def f(x):\n    return sum([x, x])", NUMBER, 2, "has no List"),
-        ("def f(x):\n    y = x\n    return print(y)", NUMBER, 3, "mark it as `inlined` or `exported`"),
-        ("def f(x):\n    return x[0.5]", VECTOR, 2, "use `maths.bits.whole`"),
-        ("def f(x):\n    return x**3", NUMBER, 2, "use `maths.exponential.power`"),
-        ("def f(x):\n    return x % 2.0", NUMBER, 2, "maths.exact.modulo"),
-        ("def f(x):\n    return int(x)", NUMBER, 2, "use `maths.bits.whole`"),
-        ("def f(x):\n    if x > 0.0:\n        y = x\n    else:\n        y = Point(x, x)\n    return y", NUMBER, 5,
-         "give the second its own name"),
-        ("def f(x):\n    n = x.size\n    return float(n << n)", VECTOR, 3, "use `maths.bits.left`"),
-        ("def f(x):\n    return x.mean()", VECTOR, 2, "name one of its fields"),
-        ("def f(x):\n    p = Point(x, x)\n    p.x = 1.0\n    return p.x", NUMBER, 3, "make a new one"),
-        ("def f(x):\n    for i in range(3):\n        x += 1.0\n    else:\n        x = 0.0\n    return x", NUMBER, 2,
-         "use a variable"),
-        ("def f(x):\n    return x[::2][0]", VECTOR, 2, "write a loop"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "signature", "line", "remedy"), [
+    ("def f(x):\n    try:\n        return x\n    except ValueError:\n        return 0.0", NUMBER, 2, "has no Try"),
+    ("def f(x):\n    return sum([x, x])", NUMBER, 2, "has no List"),
+    ("def f(x):\n    y = x\n    return print(y)", NUMBER, 3, "mark it as `inlined` or `exported`"),
+    ("def f(x):\n    return x[0.5]", VECTOR, 2, "use `maths.bits.whole`"),
+    ("def f(x):\n    return x**3", NUMBER, 2, "use `maths.exponential.power`"),
+    ("def f(x):\n    return x % 2.0", NUMBER, 2, "maths.exact.modulo"),
+    ("def f(x):\n    return int(x)", NUMBER, 2, "use `maths.bits.whole`"),
+    ("def f(x):\n    if x > 0.0:\n        y = x\n    else:\n        y = Point(x, x)\n    return y", NUMBER, 5,
+     "give the second its own name"),
+    ("def f(x):\n    n = x.size\n    return float(n << n)", VECTOR, 3, "use `maths.bits.left`"),
+    ("def f(x):\n    return x.mean()", VECTOR, 2, "name one of its fields"),
+    ("def f(x):\n    p = Point(x, x)\n    p.x = 1.0\n    return p.x", NUMBER, 3, "make a new one"),
+    ("def f(x):\n    for i in range(3):\n        x += 1.0\n    else:\n        x = 0.0\n    return x", NUMBER, 2,
+     "use a variable"),
+    ("def f(x):\n    return x[::2][0]", VECTOR, 2, "write a loop"),
+])  # fmt: skip
 def test_a_kernel_beyond_the_subset_is_refused_with_its_line_and_a_remedy(tmp_path, text, signature, line, remedy):
     with pytest.raises(KernelError, match=rf"snippet\.py:{line}: f: ") as refusal:
         body_of(tmp_path, text, signature)
     assert remedy in str(refusal.value)
 
 
-def test_every_exported_kernel_translates_and_twice_to_the_same_text():
-    kernels = kernels_of()
-    first, second = (c_files.c_files(kernels) for _ in range(2))
-    assert {name: file.text for name, file in first.items()} == {name: file.text for name, file in second.items()}
-    assert len(first) == len({Path(kernel.function.__code__.co_filename).parent for kernel in kernels.values()})
+@pytest.fixture(scope="module")
+def files():
+    """All exported kernels as files of C."""
+    return c_files.c_files(kernels_of())
 
 
-def test_a_file_depends_on_no_other_file():
+def test_every_exported_kernel_translates_and_twice_to_the_same_text(files):
     kernels = kernels_of()
-    alone = {name: kernel for name, kernel in kernels.items() if c_files.room_of(kernel) == "qp"}
-    assert c_files.c_files(alone)["qp"].text == c_files.c_files(kernels)["qp"].text
+    assert {name: file.text for name, file in c_files.c_files(kernels).items()} == {
+        name: file.text for name, file in files.items()
+    }
+    assert len(files) == len({Path(kernel.function.__code__.co_filename).parent for kernel in kernels.values()})
+
+
+def test_a_file_depends_on_no_other_file(files):
+    alone = {name: kernel for name, kernel in kernels_of().items() if c_files.room_of(kernel) == "qp"}
+    assert c_files.c_files(alone)["qp"].text == files["qp"].text
 
 
 def test_a_record_in_its_place_or_a_new_one_is_a_value(tmp_path):
@@ -95,34 +106,10 @@ def test_a_record_in_its_place_or_a_new_one_is_a_value(tmp_path):
 
 
 def test_an_operand_that_writes_is_computed_in_its_turn(tmp_path):
-    text = body_of(
-        tmp_path,
-        """
-        @inlined
-        def take(v):
-            v[0] += 1.0
-            return v[0]
-
-        def f(v):
-            return v[0] + take(v)
-        """,
-        VECTOR,
-    )
+    text = body_of(tmp_path, TAKE + "v[0] + take(v)", VECTOR)
     assert "const double t1 = v.data[0];" in text
     with pytest.raises(KernelError, match="assign it to a variable first"):
-        body_of(
-            tmp_path,
-            """
-            @inlined
-            def take(v):
-                v[0] += 1.0
-                return v[0]
-
-            def f(v):
-                return 1.0 if v[0] > 0.0 and v[0] + take(v) > 1.0 else 0.0
-            """,
-            VECTOR,
-        )
+        body_of(tmp_path, TAKE + "1.0 if v[0] > 0.0 and v[0] + take(v) > 1.0 else 0.0", VECTOR)
 
 
 def test_sizes_are_those_of_the_array_when_they_are_asked_for(tmp_path):

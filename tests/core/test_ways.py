@@ -45,7 +45,7 @@ def in_library(tmp_path):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("size", [(8, 1, 0.4), pytest.param((200, 2, 5.0), marks=pytest.mark.slow)], ids=str)
+@pytest.mark.parametrize("size", [(4, 1, 0.2), pytest.param((200, 2, 5.0), marks=pytest.mark.slow)], ids=str)
 def test_the_interpreter_gives_the_bits_of_the_library(in_library, tmp_path, size):
     assert same_bits(in_library(*size), answers("interpreted", tmp_path / "interpreted.npz", *size)) == []
 

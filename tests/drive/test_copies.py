@@ -1,7 +1,5 @@
 """Copies and pickles of what drives: taken under way, also into a new process, they continue to the same bits."""
 
-from __future__ import annotations
-
 import copy
 import math
 import os

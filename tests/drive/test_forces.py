@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+import adaptrack as at
 from adaptrack import (
     MPC,
     DualTrack,
@@ -18,21 +19,18 @@ from adaptrack import (
     load_vehicle,
     simulate,
 )
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.plant import Plant
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.core.physics import force_actuator
 from adaptrack.core.physics.forces import GRAVITY, axle_force_limit
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, input_at, place, state_at, vehicle_batch
-from adaptrack.drive.world import Driver
-from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, Stop, plan_speed
+from adaptrack.road import Arc, Clothoid, Comfort, Line, Stop
 
 SALOON = load_vehicle("midsize-sedan").replace(drag_coefficient=0.0, rolling_resistance=0.0)
 STEP = 0.01
 """s, of the integration"""
 
 
-def _states(plant: Plant, inputs: dict[str, float], speed: float, seconds: float) -> np.ndarray:
+def _states(plant: at.Plant, inputs: dict[str, float], speed: float, seconds: float) -> np.ndarray:
     """x (m), v_x (m/s) of a car under constant inputs, at every step."""
     start = plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0])
     vehicles = vehicle_batch(plant.compiled, plant.packed(), start[None])
@@ -56,7 +54,7 @@ PLANTS = pytest.mark.parametrize("plant", [SingleTrack(SALOON), DualTrack(SALOON
 
 @PLANTS
 @pytest.mark.parametrize("grade", [0.12, -0.12])
-def test_brakes_hold_a_car_on_a_slope_up_to_their_force_and_not_beyond(plant: Plant, grade: float) -> None:
+def test_brakes_hold_a_car_on_a_slope_up_to_their_force_and_not_beyond(plant: at.Plant, grade: float) -> None:
     pull = SALOON.mass * GRAVITY * math.sin(math.atan(grade))
     held_states = _states(
         plant, {**_dry(), "grade": grade, "force": -1.01 * abs(pull), "brake": 1.01 * abs(pull)}, 0.0, 2.0
@@ -67,14 +65,14 @@ def test_brakes_hold_a_car_on_a_slope_up_to_their_force_and_not_beyond(plant: Pl
 
 
 @PLANTS
-def test_friction_bounds_what_brakes_hold_on_a_slope(plant: Plant) -> None:
+def test_friction_bounds_what_brakes_hold_on_a_slope(plant: at.Plant) -> None:
     steep, brake = {"grade": 0.3}, {"force": -30000.0, "brake": 30000.0}
     assert (_states(plant, {**_dry(0.31), **steep, **brake}, 0.0, 1.0) == 0.0).all()
     assert _states(plant, {**_dry(0.29), **steep, **brake}, 0.0, 1.0)[-1, 1] < 0.0
 
 
 @PLANTS
-def test_a_braked_car_stops_after_v2_over_2a_and_never_rolls_backwards(plant: Plant) -> None:
+def test_a_braked_car_stops_after_v2_over_2a_and_never_rolls_backwards(plant: at.Plant) -> None:
     x, vx = _states(plant, {**_dry(), "force": -5.0 * SALOON.mass, "brake": 5.0 * SALOON.mass}, 10.0, 4.0).T
     assert (vx >= 0.0).all()
     assert vx[-1] == 0.0
@@ -82,7 +80,7 @@ def test_a_braked_car_stops_after_v2_over_2a_and_never_rolls_backwards(plant: Pl
 
 
 @PLANTS
-def test_a_coasting_car_gains_what_the_slope_gives(plant: Plant) -> None:
+def test_a_coasting_car_gains_what_the_slope_gives(plant: at.Plant) -> None:
     _, vx = _states(plant, {**_dry(), "grade": -0.05}, 10.0, 3.0).T
     assert vx[-1] == pytest.approx(10.0 + GRAVITY * math.sin(math.atan(0.05)) * 3.0, rel=1e-9)
 
@@ -129,9 +127,9 @@ def test_a_car_stops_where_its_plan_stops_waits_and_drives_on() -> None:
     car = load_vehicle("midsize-sedan").replace(
         drive=DriveActuator(lag=0.2, dead_time=0.1, creep=0.5), brakes=BrakeActuator(lag=0.1, dead_time=0.1)
     )
-    road = Road.from_segments([Line(length=300.0)], name="straight")
-    plan = plan_speed(road, car, Comfort(), stops=[Stop(150.0, 4.0)])
-    run = simulate(DualTrack(car), MPC(car, profile="road"), RoadDrive(road, plan), profile="road", driver=Driver())
+    road = at.Road.from_segments([Line(length=300.0)], name="straight")
+    plan = at.plan_speed(road, car, Comfort(), stops=[Stop(150.0, 4.0)])
+    run = simulate(DualTrack(car), MPC(car, profile="road"), RoadDrive(road, plan), profile="road", driver=at.Driver())
     stands = run.vx < 0.01
     assert run.road["station"][stands] == pytest.approx(150.0, abs=0.5)
     assert 3.5 <= np.count_nonzero(stands) * run.period <= 7.0
@@ -139,9 +137,9 @@ def test_a_car_stops_where_its_plan_stops_waits_and_drives_on() -> None:
     assert (run.vx > -1e-9).all()
 
 
-def _climb(grade: float) -> Road:
+def _climb(grade: float) -> at.Road:
     """A straight road that is level for 100 m, and then climbs."""
-    road = Road.from_segments([Line(length=400.0)], name="climb")
+    road = at.Road.from_segments([Line(length=400.0)], name="climb")
     return road.replace(grade=([0.0, 100.0, 110.0, 400.0], [0.0, 0.0, grade, grade]))
 
 
@@ -149,8 +147,8 @@ def _climb(grade: float) -> Road:
 def test_a_driver_keeps_its_speed_on_a_slope_and_holds_the_car_at_a_stop(grade: float) -> None:
     car = load_vehicle("midsize-sedan")
     road = _climb(grade)
-    plan = plan_speed(road, car, Comfort(), stops=[Stop(250.0, 3.0)], top_speed=12.0)
-    run = simulate(DualTrack(car), MPC(car, profile="road"), RoadDrive(road, plan), profile="road", driver=Driver())
+    plan = at.plan_speed(road, car, Comfort(), stops=[Stop(250.0, 3.0)], top_speed=12.0)
+    run = simulate(DualTrack(car), MPC(car, profile="road"), RoadDrive(road, plan), profile="road", driver=at.Driver())
     climbing = (run.road["station"] > 150.0) & (run.road["station"] < 200.0)
     stands = run.vx == 0.0
     assert run.vx[climbing] == pytest.approx(plan.at(run.road["station"][climbing]), abs=0.4)
@@ -162,9 +160,9 @@ def test_a_driver_keeps_its_speed_on_a_slope_and_holds_the_car_at_a_stop(grade: 
 @pytest.mark.compiled
 def test_behind_a_stop_of_a_speed_control_the_car_is_on_the_slope_of_its_place() -> None:
     car, grade = SALOON, 0.08
-    road = Road.from_segments([Line(length=90.0)], name="straight")
+    road = at.Road.from_segments([Line(length=90.0)], name="straight")
     road = road.replace(grade=([0.0, 30.0, 35.0, 90.0], [0.0, 0.0, grade, grade]))
-    plan = plan_speed(road, car, Comfort(accelerate=1.5, brake=2.0), stops=[Stop(20.0, 0.5)], top_speed=8.0)
+    plan = at.plan_speed(road, car, Comfort(accelerate=1.5, brake=2.0), stops=[Stop(20.0, 0.5)], top_speed=8.0)
     run = simulate(
         DualTrack(car), MPC(car, profile="road"), RoadDrive(road, plan), profile="road", driver=SpeedControl(car)
     )
@@ -180,15 +178,15 @@ def test_a_plant_that_does_not_take_the_grade_is_refused_by_name_on_a_slope() ->
 
     plant = UserPlant(level, {}, mass=1000.0, label="flat earth")
     road, car = _climb(0.05), load_vehicle("midsize-sedan")
-    drive = RoadDrive(road, plan_speed(road, car))
-    with pytest.raises(InvalidInput, match=r"plant 'flat earth' does not take the grade of a road"):
+    drive = RoadDrive(road, at.plan_speed(road, car))
+    with pytest.raises(at.InvalidInput, match=r"plant 'flat earth' does not take the grade of a road"):
         simulate(plant, MPC(car, profile="road"), drive, profile="road")
     assert simulate(plant, MPC(car, profile="road"), drive.replace(road=road.replace(grade=0.0)), profile="road").t.size
 
 
 def test_a_plan_for_an_assumed_friction_asks_no_more_than_that_of_the_tyres() -> None:
     car = load_vehicle("midsize-sedan")
-    road = Road.from_segments(
+    road = at.Road.from_segments(
         [
             Line(length=100.0),
             Clothoid(length=40.0, start_curvature=0.0, end_curvature=0.02),
@@ -196,10 +194,10 @@ def test_a_plan_for_an_assumed_friction_asks_no_more_than_that_of_the_tyres() ->
         ],
         name="bend",
     )
-    plan = plan_speed(road.replace(friction=0.4), car, Comfort(lateral=9.0))
+    plan = at.plan_speed(road.replace(friction=0.4), car, Comfort(lateral=9.0))
     drive = RoadDrive(road, plan)
     run = simulate(
-        DualTrack(car), MPC(car, profile="road"), drive, profile="road", driver=Driver(),
+        DualTrack(car), MPC(car, profile="road"), drive, profile="road", driver=at.Driver(),
         perception=Perception(friction=0.4),
     )  # fmt: skip
     assert run.failed is None

@@ -9,10 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 import adaptrack as at
-from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
-from adaptrack.cars.plant import SteppedPlant, _registry, get_plant, register_plant
-from adaptrack.control.controllers import get_controller, register_controller
+from adaptrack.cars.plant import _registry
 from adaptrack.control.controllers import registry as controllers
 from adaptrack.drive import drivers
 from adaptrack.drive.world import warn_once
@@ -29,16 +27,19 @@ def _answer(value):
 
 
 class Mine(at.Controller):
-    answer: object = 0.0
+    def __init__(self, answer=0.0):
+        self.answer = answer
 
     def step(self, state, speed, reference, variables=None):
         return _answer(self.answer)
 
 
-class Stepped(SteppedPlant):
+class Stepped(at.SteppedPlant):
     name, tyre_name, longest_step = "mine", "none", 0.01
     powertrain = {"mass": 1500.0, "engine_power": 1e5, "traction_limit": 5e3, "brake_limit": 1e4}  # noqa: RUF012
-    answer: object = None
+
+    def __init__(self, answer):
+        self.answer = answer
 
     def reset(self, motion):
         pass
@@ -64,57 +65,65 @@ def _as_before(monkeypatch):
     warn_once.cache_clear()
 
 
-@pytest.mark.parametrize("answer", [*NONSENSE, "0.1", True, [0.1, 0.2]])
-def test_a_controller_that_returns_no_angle_is_named_in_a_simulation_and_in_a_tracker(answer):
-    controller = Mine()
-    controller.answer = answer
-    for drive in (lambda: _simulate(controller), lambda: at.Tracker(controller, ROAD).step(0.0, 0.0, 0.0, 0.0, 10.0)):
-        with pytest.raises(ContractError, match=r"controller 'Mine': step\(\) .* it must return the steering angle"):
-            drive()
-
-
 @pytest.mark.parametrize("answer", [math.inf, math.nan])
 def test_an_angle_that_is_not_finite_ends_the_run_with_a_sentence_that_names_the_controller(answer, caplog):
-    controller = Mine()
-    controller.answer = answer
-    assert _simulate(controller).failed == "not-finite"
+    assert _simulate(Mine(answer)).failed == "not-finite"
     assert f"controller 'Mine': step() returned {answer}: it must return the steering angle" in caplog.text
 
 
-@pytest.mark.parametrize("answer", [*NONSENSE, [1.0] * 5, [1.0] * 5 + ["a"]])
-def test_a_plant_that_returns_no_motion_is_named(answer):
-    plant = Stepped()
-    plant.answer = answer
-    with pytest.raises(ContractError, match=r"plant 'mine': step\(\) .* it must return six finite numbers"):
-        _simulate(plant=plant)
-
-
 def test_a_motion_that_is_not_finite_ends_the_run_with_a_sentence_that_names_the_plant(caplog):
-    plant = Stepped()
-    plant.answer = [math.inf] * 6
-    assert _simulate(plant=plant).failed == "not-finite"
+    assert _simulate(plant=Stepped([math.inf] * 6)).failed == "not-finite"
     assert "plant 'mine': step() returned [inf" in caplog.text
 
 
 REQUESTS = [SimpleNamespace(acceleration=0.0, force=force, hold=hold)
             for force, hold in ((math.inf, 0.0), ("1", 0.0), (0.0, None), (0.0, -1.0), (0.0, math.inf))]  # fmt: skip
+NO_ANGLE = [*NONSENSE, "0.1", True, [0.1, 0.2]]
+NO_REQUEST = [*NONSENSE, math.inf, *REQUESTS, SimpleNamespace(force=0.0, hold=0.0)]
 
 
-@pytest.mark.parametrize("answer", [*NONSENSE, math.inf, *REQUESTS, SimpleNamespace(force=0.0, hold=0.0)])
-def test_a_driver_that_returns_no_requests_is_named(answer):
-    with pytest.raises(ContractError, match=r"driver SimpleNamespace: step\(\) .* it must return a SpeedCommand"):
-        _simulate(driver=_driver("follower", answer))
+def _track(controller):
+    return at.Tracker(controller, ROAD).step(0.0, 0.0, 0.0, 0.0, 10.0)
 
 
-@pytest.mark.parametrize("answer", NONSENSE)
-def test_a_driver_that_begins_nothing_is_named(answer):
-    with pytest.raises(ContractError, match=r"`begin` of the driver SimpleNamespace .* it must return an object with"):
-        _simulate(driver=_driver(answer))
+def _make(register, make, answer):
+    """What a registry makes of a factory that returns an answer."""
+    register("bad", lambda *_: _answer(answer))
+    return make("bad", CAR)
+
+
+REFUSALS = [
+    (lambda answer: _simulate(Mine(answer)), NO_ANGLE,
+     r"controller 'Mine': step\(\) .* it must return the steering angle"),
+    (lambda answer: _track(Mine(answer)), NO_ANGLE,
+     r"controller 'Mine': step\(\) .* it must return the steering angle"),
+    (lambda answer: _simulate(plant=Stepped(answer)), [*NONSENSE, [1.0] * 5, [1.0] * 5 + ["a"]],
+     r"plant 'mine': step\(\) .* it must return six finite numbers"),
+    (lambda answer: _simulate(driver=_driver("follower", answer)), NO_REQUEST,
+     r"driver SimpleNamespace: step\(\) .* it must return a SpeedCommand"),
+    (lambda answer: _simulate(driver=_driver(answer)), NONSENSE,
+     r"`begin` of the driver SimpleNamespace .* it must return an object with"),
+    (lambda answer: _make(at.register_plant, at.get_plant, answer), NONSENSE,
+     r"plant 'bad': its factory .* it must return a Plant or SteppedPlant"),
+    (lambda answer: _make(at.register_controller, at.get_controller, answer), NONSENSE,
+     r"controller 'bad': its factory .* must return a Controller"),
+    (lambda answer: _make(drivers.register_driver, drivers.make_driver, answer), NONSENSE,
+     r"driver 'bad': its factory .* must return a Driver or SpeedControl"),
+]  # fmt: skip
+"""Calls, answers of the code that they call, and the sentence."""
+
+
+@pytest.mark.parametrize(("call", "answer", "words"), [
+    (call, answer, words) for call, answers, words in REFUSALS for answer in answers
+])  # fmt: skip
+def test_an_answer_that_is_none_is_named_with_what_must_be_returned(call, answer, words):
+    with pytest.raises(at.ContractError, match=words):
+        call(answer)
 
 
 @pytest.mark.parametrize("driver", ["speed-control", 1.0, object()])
 def test_what_cannot_drive_is_refused_as_driver(driver):
-    with pytest.raises(InvalidInput, match=r"driver = .*: must be a Driver, a SpeedControl"):
+    with pytest.raises(at.InvalidInput, match=r"driver = .*: must be a Driver, a SpeedControl"):
         _simulate(driver=driver)
 
 
@@ -127,23 +136,6 @@ def test_a_scheduler_that_returns_no_tuning_is_named_and_the_tuning_before_stays
     assert run.meta["scheduler_counts"]["raised"] == len(run.t)
     assert "scheduler 'mine'" in caplog.text
     assert "it must return a Tuning or four finite numbers (Np, Nc, Q, R)" in caplog.text
-
-
-@pytest.mark.parametrize("answer", NONSENSE)
-def test_a_factory_that_makes_no_member_is_named(answer):
-    register_plant("bad-plant", lambda vehicle, tyre: _answer(answer))
-    register_controller("bad-controller", lambda vehicle: _answer(answer))
-    drivers.register_driver("bad-driver", lambda car: _answer(answer))
-    with pytest.raises(
-        ContractError, match=r"plant 'bad-plant': its factory .* it must return a Plant or SteppedPlant"
-    ):
-        get_plant("bad-plant", CAR)
-    with pytest.raises(ContractError, match=r"controller 'bad-controller': its factory .* must return a Controller"):
-        get_controller("bad-controller", CAR)
-    with pytest.raises(
-        ContractError, match=r"driver 'bad-driver': its factory .* must return a Driver or SpeedControl"
-    ):
-        drivers.make_driver("bad-driver", CAR)
 
 
 def test_every_registry_checks_what_its_factories_make():

@@ -1,7 +1,5 @@
 """What the sensors of a profile give: position along the road, speed and ages, against the true motion."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -14,23 +12,20 @@ from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE, state_at
 from adaptrack.core.simulation.world import PAST_SIGNAL
 from adaptrack.drive.closed_loop import ClosedLoop
-from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import World
-from adaptrack.road import Arc, Line, Road
-from adaptrack.scenario import RoadDrive, Scenario
-from adaptrack.scenario.profile import load_profile
+from adaptrack.road import Arc, Line
 from adaptrack.scenario.shapes import Knots
 
 pytestmark = pytest.mark.kernels
 PLANT, PERIOD = at.SingleTrack(at.load_vehicle("paper")), 0.05
-PRODUCTION, BUS = load_profile("production"), load_profile("production-bus")
-SILENT = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
-RAMP = Scenario(name="ramp", duration=4.0, reference=0.0, speed=Knots(points=((0.0, 1.0), (4.0, 9.0))), friction=0.9)
+PRODUCTION, BUS = at.load_profile("production"), at.load_profile("production-bus")
+SILENT = at.load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+RAMP = at.Scenario(name="ramp", duration=4.0, reference=0.0, speed=Knots(points=((0.0, 1.0), (4.0, 9.0))), friction=0.9)
 CRUISE = RAMP.replace(name="cruise", speed=10.0)
 CURVATURE = 0.02
-LONG = RoadDrive(Road.from_segments([Line(length=1000.0)]), 10.0)
-CIRCLE = RoadDrive(
-    Road.from_segments([Arc(length=2.0 * math.pi / CURVATURE, curvature=CURVATURE)], closed=True), 10.0, laps=3
+LONG = at.RoadDrive(at.Road.from_segments([Line(length=1000.0)]), 10.0)
+CIRCLE = at.RoadDrive(
+    at.Road.from_segments([Arc(length=2.0 * math.pi / CURVATURE, curvature=CURVATURE)], closed=True), 10.0, laps=3
 )
 
 
@@ -39,7 +34,7 @@ class Readings:
 
     def __init__(self, profile, drive=CRUISE, instants=80, seed=3):
         world = World.of(
-            PLANT, at.Stanley(PLANT.vehicle, period=PERIOD), profile, None, None, FailureLimits(distance=1e3)
+            PLANT, at.Stanley(PLANT.vehicle, period=PERIOD), profile, None, None, at.FailureLimits(distance=1e3)
         )
         self.loop, rows = ClosedLoop(world, drive, seed), {}
         memory, block = self.loop.run.memory.drives, self.loop.run.vehicles.block

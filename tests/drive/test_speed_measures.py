@@ -8,9 +8,8 @@ import pytest
 import adaptrack as at
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
 from adaptrack.drive.speed_measures import measure_stops, speed_measures
-from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.record import REPLAYED_SIGNALS, DriveRecord
-from adaptrack.road import Arc, Road, Stop, plan_speed
+from adaptrack.road import Arc, Stop
 from adaptrack.road.speed import constant_speed
 from made_drives import made_run
 
@@ -21,7 +20,7 @@ STOP = Stop(150.0, 3.0)
 @pytest.fixture(scope="module")
 def drive():
     road = at.generate_road("country", seed=1, length=300.0)
-    return at.RoadDrive(road, plan_speed(road, CAR, start=0.0, stops=[STOP]))
+    return at.RoadDrive(road, at.plan_speed(road, CAR, start=0.0, stops=[STOP]))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +47,7 @@ def test_the_planned_speed_is_that_of_the_place_and_not_of_the_time(drive, run, 
 @pytest.mark.compiled
 def test_the_file_of_a_drive_with_speed_control_holds_its_signals_with_units(drive, run, tmp_path):
     run.save(tmp_path / "run.parquet")
-    loaded = Trajectory.load(tmp_path / "run.parquet")
+    loaded = at.Trajectory.load(tmp_path / "run.parquet")
     signals, driven = loaded.diagnostics, np.isfinite(loaded.command)
     units = {name: loaded.units[f"diagnostics.{name}"] for name in signals}
     assert units["governed_speed"] == units["target_speed"] == loaded.units["road.planned_speed"] == "m/s"
@@ -77,9 +76,9 @@ def test_a_stop_is_measured_where_and_as_long_as_the_car_stood(drive, run):
 def test_stops_and_delay_count_over_all_laps():
     radius, speed, period = 50.0, 10.0, 0.05
     lap = 2.0 * np.pi * radius
-    road = Road.from_segments([Arc(length=lap, curvature=1.0 / radius)], closed=True, name="circle")
+    road = at.Road.from_segments([Arc(length=lap, curvature=1.0 / radius)], closed=True, name="circle")
     constant = constant_speed(road, speed)
-    plan = plan_speed(road, CAR, stops=[Stop(100.0)])
+    plan = at.plan_speed(road, CAR, stops=[Stop(100.0)])
     n = round(2.5 * lap / (0.9 * speed) / period)
     time = period * np.arange(n)
     zeros, station = np.zeros(n), 0.9 * speed * time

@@ -11,19 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import adaptrack as at
 from adaptrack import __version__
-from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory, provenance
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, provenance
+from made_drives import blank_columns
 
 
 def record(n=8, period=0.1, **changes):
     """A car that stands on its reference; `changes` replace arrays."""
-    arrays = {}
-    for column in TRAJECTORY_COLUMNS:
-        shape = (n, len(column.parts)) if column.parts else (n,)
-        arrays[column.name] = np.zeros(shape, dtype=column.dtype)
-    arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
-    return Trajectory(**(arrays | {"period": period} | named(n) | changes))
+    arrays = blank_columns(n) | {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
+    return at.Trajectory(**(arrays | {"period": period} | named(n) | changes))
 
 
 def named(n):
@@ -49,7 +46,7 @@ def wild(n=50, seed=1):
     residual[3] = np.nan
     arrays["Y"][-1] = np.inf
     arrays["vy"][-1] = -0.0
-    return Trajectory(
+    return at.Trajectory(
         **arrays, period=0.05, tuning={"Np": rng.integers(1, 60, n), "gain": rng.normal(size=n)},
         diagnostics={"qp_residual": residual, "saturated": rng.normal(size=n) > 0}, units={"tuning.gain": "1/s"},
         failed="off-road", failed_at=5.1, meta={"scenario": "step", "limits": (1, 2.5), "µ": None},
@@ -59,7 +56,7 @@ def wild(n=50, seed=1):
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
     before = wild()
     before.save(tmp_path / "run.parquet")
-    after = Trajectory.load(tmp_path / "run.parquet")
+    after = at.Trajectory.load(tmp_path / "run.parquet")
     same(before, after)
 
 
@@ -119,7 +116,7 @@ def test_between_keeps_times_and_cuts_every_array():
 
 
 def test_an_empty_window_is_refused():
-    with pytest.raises(InvalidInput, match=r"no control period begins in \[5, 6\) s.*\[0, 0.8\) s"):
+    with pytest.raises(at.InvalidInput, match=r"no control period begins in \[5, 6\) s.*\[0, 0.8\) s"):
         record().between(5.0, 6.0)
 
 
@@ -152,7 +149,7 @@ def test_arrays_cannot_be_changed_in_place_and_the_callers_stay_writable():
     ({"meta": {"plant": object()}}, r"`meta\['plant'\]` cannot be written as JSON"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused_with_the_name_of_the_array(changes, complaint):
-    with pytest.raises(InvalidInput, match=complaint):
+    with pytest.raises(at.InvalidInput, match=complaint):
         record(**changes)
 
 
@@ -167,8 +164,8 @@ def test_what_is_no_file_of_a_trajectory_is_refused(tmp_path):
         ("empty.parquet", "not a Parquet file"),
         ("foreign.parquet", "holds no trajectory, but a table of another program"),
     ):
-        with pytest.raises(StorageError, match=complaint):
-            Trajectory.load(tmp_path / name)
+        with pytest.raises(at.StorageError, match=complaint):
+            at.Trajectory.load(tmp_path / name)
 
 
 def test_an_edited_file_and_one_of_another_version_are_refused_with_the_reason(tmp_path):
@@ -192,8 +189,8 @@ def test_an_edited_file_and_one_of_another_version_are_refused_with_the_reason(t
     ):
         metadata = dict(table.schema.metadata) | {key.encode(): value.encode() for key, value in entries.items()}
         pq.write_table(table.replace_schema_metadata(metadata), path)
-        with pytest.raises(StorageError, match=complaint):
-            Trajectory.load(path)
+        with pytest.raises(at.StorageError, match=complaint):
+            at.Trajectory.load(path)
 
 
 @pytest.mark.parametrize("stride", [31, pytest.param(1, marks=pytest.mark.slow)])
@@ -207,8 +204,8 @@ def test_a_flipped_bit_anywhere_gives_the_same_content_or_a_storage_error(tmp_pa
         changed[place] ^= 1 << place % 8
         path.write_bytes(changed)
         try:
-            after = Trajectory.load(path)
-        except StorageError:
+            after = at.Trajectory.load(path)
+        except at.StorageError:
             continue
         same(before, after)
 
@@ -222,7 +219,7 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatc
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(StorageError, match="No space left"):
+    with pytest.raises(at.StorageError, match="No space left"):
         wild().save(path)
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["run.parquet"]

@@ -1,31 +1,26 @@
 """The world around a controller: dead time, sensors with ages, gaps and offsets, a steering bias, a banked road."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.base.errors import InvalidInput
-from adaptrack.drive.failure import FailureLimits
-from adaptrack.drive.simulate import rollout, simulate
-from adaptrack.scenario import Scenario
-from adaptrack.scenario.profile import load_profile
 from small_controllers import Scripted
 
 pytestmark = pytest.mark.compiled  # whole drives
 CAR = at.load_vehicle("paper")
 PLANT = at.DualTrack(CAR, "magic-formula")
-SILENT = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0, delay=0)
-STRAIGHT = Scenario(name="straight", duration=8.0, reference=0.0, speed=15.0, friction=0.9)
+SILENT = at.load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0, delay=0)
+STRAIGHT = at.Scenario(name="straight", duration=8.0, reference=0.0, speed=15.0, friction=0.9)
 
 
 def drive(profile, command=0.0, scenario=STRAIGHT, seed=3):
     """The trajectory, and what the controller was told (n, 5): x_c and the speed."""
     controller = Scripted(lambda t: command)
-    run = simulate(PLANT, controller, scenario, profile=profile, seed=seed, failure=FailureLimits(distance=1000.0))
+    run = at.simulate(
+        PLANT, controller, scenario, profile=profile, seed=seed, failure=at.FailureLimits(distance=1000.0)
+    )
     return run, np.array(controller.samples)
 
 
@@ -77,8 +72,8 @@ def test_a_sensor_that_is_not_there_gives_nothing():
 
 
 def test_an_mpc_that_estimates_nothing_is_refused_where_its_state_is_not_measured():
-    with pytest.raises(InvalidInput, match=r"production.* does not measure vy"):
-        simulate(PLANT, at.published_mpc(CAR, period=0.05), STRAIGHT, profile="production")
+    with pytest.raises(at.InvalidInput, match=r"production.* does not measure vy"):
+        at.simulate(PLANT, at.published_mpc(CAR, period=0.05), STRAIGHT, profile="production")
 
 
 def test_a_pose_drops_out_as_often_and_as_long_as_the_profile_says():
@@ -109,7 +104,7 @@ def test_the_measured_speed_is_off_by_its_share():
 def test_a_steering_bias_and_a_banked_road_leave_no_offset(speed, bias, bank):
     profile = SILENT.replace(delay=1, steering=SILENT.steering.replace(bias=bias))
     scenario = STRAIGHT.replace(speed=speed, bank=bank, duration=60.0)
-    run = rollout(PLANT, at.MPC(CAR, profile=profile), scenario, profile=profile)
+    run = at.rollout(PLANT, at.MPC(CAR, profile=profile), scenario, profile=profile)
     assert np.abs(run.Y[-400:]).mean() < 1e-3
 
 

@@ -1,7 +1,5 @@
 """The CARLA example: axes and units are turned, and a car in a stand-in of CARLA's world is identified and driven."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

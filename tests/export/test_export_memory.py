@@ -2,7 +2,6 @@
 
 import ctypes
 import platform
-import subprocess
 
 import numpy as np
 import pytest
@@ -10,11 +9,10 @@ import pytest
 import adaptrack as at
 import exported
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.tracking import tracking_memory
 from exported import CTracker, Exported
-from programs import find_program
+from programs import run_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 CAR = at.load_vehicle("midsize-sedan")
@@ -29,7 +27,7 @@ def controller(tuning=None, **options):
 def library(tmp_path_factory):
     """The export of one, as a library of this process."""
     folder, mpc = tmp_path_factory.mktemp("export"), controller()
-    export_c(mpc, folder)
+    at.export_c(mpc, folder)
     return Exported(folder, mpc)
 
 
@@ -121,7 +119,7 @@ def test_bounds_are_those_of_the_fields():
 
 
 def gcc_version():
-    return subprocess.run([find_program("gcc"), "-dumpfullversion"], capture_output=True, text=True, check=True).stdout
+    return run_program("gcc", "-dumpfullversion")
 
 
 REORDERS = ("-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math")
@@ -136,9 +134,7 @@ def test_a_compiler_that_fuses_or_reorders_operations_is_refused_at_the_start(op
     source, program = str(library.folder / "src" / "adaptrack_memory.c"), tmp_path / "memory.so"
     for number, chosen in enumerate((options, ("-O3", "-mfma", *EXACT_OPTIONS))):
         compiled = program.with_stem(f"memory{number}")
-        subprocess.run(
-            [find_program("gcc"), "-std=c99", *chosen, f"-I{library.folder}/include", "-shared", "-fPIC", source, "-o",
-             str(compiled)], check=True,
-        )  # fmt: skip
+        options = "-std=c99", *chosen, f"-I{library.folder}/include", "-shared", "-fPIC"
+        run_program("gcc", *options, source, "-o", compiled)
         answer = ctypes.CDLL(str(compiled)).adaptrack_compiled_exactly()
         assert answer == (exported.ARITHMETIC, exported.OK)[number]

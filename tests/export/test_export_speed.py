@@ -5,7 +5,6 @@ import ctypes
 import math
 import os
 import struct
-import subprocess
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.export.c_library import export_c
 from adaptrack.road import Comfort, Stop, plan_speed, road_through
 from exported import Answer, CPath, CTracker, Exported, Sample
-from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 CAR = at.load_vehicle("midsize-sedan")
@@ -32,7 +30,6 @@ CONTROLS = {
     "informed": SpeedControl(CAR, (0.3, 0.9)), "learning": SpeedControl(CAR, (0.4, 1.0)),
     "pure-pursuit": SpeedControl(CAR, (0.5, 0.9)), "certain": SpeedControl(CAR, 0.5),
 }  # fmt: skip
-FRICTION = ("friction_low", "friction_high")
 PERIOD = 0.05
 DRIVES = max(1, int(os.environ.get("ADAPTRACK_TEST_STEPS", "1000")) // 1000)
 PATH = road_through(POINTS).replace(grade=((0.0, 60.0, 120.0, 200.0), (0.0, 0.06, -0.08, 0.02)), bank=((0.0,), (0.03,)))
@@ -103,7 +100,7 @@ def library(request, tmp_path_factory):
         "certain": lambda: at.MPC(CAR, profile="road"),
     }[request.param]()
     export_c(controller, folder, road=PATH, plan=PLAN, speed=CONTROLS[request.param])
-    exported_library = Exported(folder, controller)
+    exported_library = Exported(folder, controller, "-O0" if request.param == "pure-pursuit" else "-Og")
     exported_library.control = CONTROLS[request.param]
     return exported_library
 
@@ -232,17 +229,12 @@ def test_a_plan_of_a_different_path_or_faster_than_the_export_allows_is_refused(
     assert tracker.follow(path, CPlan(library.c, path)) == exported.OK
 
 
-def test_the_recorded_drive_of_the_folder_does_not_differ(library, request):
-    level = "-O1" if "informed" in request.node.name else "-O0"  # one of all sources; four times as fast
-    command = ["make", "-C", str(library.folder), "check", "build/times", f"CFLAGS={level} -Werror"]
-    process = subprocess.run(command, capture_output=True, text=True)
-    assert process.returncode == 0, process.stdout + process.stderr
-    assert " steps, 0 differ" in process.stdout
+def test_the_recorded_drive_of_the_folder_does_not_differ(library):
+    assert " steps, 0 differ" in library.make("check", "build/times")
 
 
 def test_cpp_drives_with_a_plan(library, tmp_path):
-    source = tmp_path / "drive.cpp"
-    source.write_text(
+    text = (
         '#include "adaptrack.hpp"\n'
         "static adaptrack::Tracker tracker;\nstatic adaptrack::Path<20000> path;\nstatic adaptrack::Plan<4000> plan;\n"
         "int main() {\n    double points[40];\n    const double s[] = {0.0, 95.0}, speed[] = {5.0, 5.0};\n"
@@ -255,13 +247,7 @@ def test_cpp_drives_with_a_plan(library, tmp_path):
         "        return 1;\n    if (tracker.step(sample, answer)) return 2;\n"
         "    return answer.force < 0.0 && answer.limited_by != ADAPTRACK_LIMIT_FAULT ? 0 : 3;\n}\n"
     )
-    subprocess.run(["make", "-C", str(library.folder), "lib"], check=True, capture_output=True)
-    archive = library.folder / "build" / "libadaptrack.a"
-    command = [find_program("g++"), "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{library.folder}/include",
-               str(source), str(archive), "-o", str(tmp_path / "drive")]  # fmt: skip
-    process = subprocess.run(command, capture_output=True, text=True)
-    assert process.returncode == 0, process.stderr
-    assert subprocess.run([str(tmp_path / "drive")]).returncode == 0
+    exported.run_cpp(library, text, tmp_path)
 
 
 def test_the_header_holds_the_action_of_each_status(library):

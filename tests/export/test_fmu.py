@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import subprocess
 import sys
 import zipfile
 import zlib
@@ -31,7 +30,7 @@ from adaptrack.export.units import car_unit, controller_unit
 from adaptrack.road import Arc, Stop
 from exported import STRICT
 from fmus import Instance, Signals, needed
-from programs import find_program
+from programs import EMULATORS, run_program
 from small_controllers import Scripted
 
 pytestmark = [pytest.mark.compiled, needed]
@@ -188,10 +187,9 @@ def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None, 
     return states
 
 
-@pytest.mark.parametrize(
-    ("name", "has_motion_age"),
-    [*((name, True) for name in ("published", "informed", "learning", "stanley", "lqr")), ("learning", False)],
-)
+@pytest.mark.parametrize(("name", "has_motion_age"), [
+    *((name, True) for name in ("published", "informed", "learning", "stanley", "lqr")), ("learning", False),
+])  # fmt: skip
 def test_the_controller_is_the_tracker_to_the_bit(name, has_motion_age, folder):
     tracker, differ = at.Tracker(LOOPS[name][0](), country().road, plan=country().plan), []
     names = ("command", "offset", "heading_error", "station")
@@ -454,15 +452,11 @@ def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, 
         if source.suffix == ".c":
             include = ["-I", str(SOURCES / "c"), "-I", str(SOURCES / "fmu_c")]
             outputs = ["-c", str(source), "-o", str(tmp_path / "made.o")]
-            subprocess.run([find_program("gcc"), *STRICT, "-Wno-pedantic", *options, *include, *outputs], check=True)
+            run_program("gcc", *STRICT, "-Wno-pedantic", *options, *include, *outputs)
 
 
 # -- without FMPy -----------------------------------------------------------------------------------------------------
-EMULATED = {
-    "linux": ("gcc",),
-    "linux-aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
-    "windows": ("x86_64-w64-mingw32-gcc", "wine64"),
-}
+EMULATED = {"linux": ("gcc",), "linux-aarch64": EMULATORS["aarch64"], "windows": EMULATORS["windows"]}
 """The compiler of a program for a platform, and the command that runs it here."""
 
 
@@ -471,12 +465,10 @@ EMULATED = {
 )
 def test_each_platforms_binary_drives_as_the_kernels_do_to_the_bit(name, folder, tmp_path):
     compiler, *emulator = EMULATED[name]
-    if emulator:
-        emulator[0] = find_program(emulator[0])
     unit, driver = car_unit(PLANT, profile="production"), tmp_path / ("driver.exe" if name == "windows" else "driver")
     libraries = [] if name == "windows" else ["-ldl"]
     source = Path(__file__).parents[1] / "processors" / "fmu_driver.c"
-    subprocess.run([find_program(compiler), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True)
+    run_program(compiler, "-O1", source, "-o", driver, "-lm", *libraries)
     block = constants(unit)
     (tmp_path / "constants.bin").write_bytes(block.content)
     place = "." if name == "windows" else str(tmp_path)
@@ -485,8 +477,7 @@ def test_each_platforms_binary_drives_as_the_kernels_do_to_the_bit(name, folder,
     library = library if name == "windows" else str(tmp_path / library)
     token = f"{{{zlib.crc32(block.content):08x}}}"
     arguments = [library, place, token, repr(unit.period), "200", str(kernel.CAR_VALUE.command)]
-    process = subprocess.run([*emulator, str(driver), *arguments], cwd=tmp_path, capture_output=True, text=True)
-    assert process.returncode == 0, process.stderr
+    answer = run_program(*emulator, str(driver), *arguments, cwd=tmp_path)
     resident = Resident(unit.record)
     kernel.car_begin(resident)
     for k in range(200):
@@ -494,7 +485,7 @@ def test_each_platforms_binary_drives_as_the_kernels_do_to_the_bit(name, folder,
         assert kernel.car_step(resident) == 0
     expected = unit.record.values[kernel.CAR_VALUE.measured_x : kernel.CAR_VALUE.ended]
     bits = [0 if math.isnan(value) else int(np.float64(value).view(np.uint64)) for value in expected]
-    assert [int(word, 16) for word in process.stdout.split()] == bits
+    assert [int(word, 16) for word in answer.split()] == bits
 
 
 @pytest.mark.slow
@@ -528,10 +519,8 @@ def test_a_compiler_of_the_user_makes_the_binary_as_the_fmu_describes(folder, tm
     (described,) = ET.parse(tmp_path / "sources/buildDescription.xml").iter("SourceFileSet")
     sources = [str(tmp_path / "sources" / file.get("name")) for file in described]
     assert described.get("compilerOptions").split() == list(EXACT_OPTIONS)
-    options = ["-std=c99", "-O1", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Werror"]
-    run = subprocess.run([find_program("gcc"), *options, "-shared", "-fPIC", *sources, "-o", str(tmp_path / "car.so")],
-                         capture_output=True, text=True)  # fmt: skip
-    assert run.returncode == 0, run.stderr
+    options = ["-std=c99", "-O0", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Werror"]
+    run_program("gcc", *options, "-shared", "-fPIC", *sources, "-o", tmp_path / "car.so")
 
 
 def test_the_command_writes_both(folder, monkeypatch, capsys):

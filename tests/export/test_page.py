@@ -2,7 +2,6 @@
 
 import json
 import re
-import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -12,14 +11,13 @@ import pytest
 import adaptrack as at
 import page_drives
 from adaptrack import cli
-from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from adaptrack.export.page_setup import road_of
 from adaptrack.results.record import offset_scale
 from browsers import BROWSERS
 from pages import READY, STATE, differing, drive, export_page, open_page, serve
-from programs import find_program
+from programs import find_program, run_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
 
@@ -70,16 +68,15 @@ def test_files_of_a_script_share_no_name():
 
 
 def test_scripts_of_the_page_can_be_read():
-    node = find_program("node")
     pages = {path.name for path in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
     for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(pages)))):
-        subprocess.run([node, "--check", "-"], input=script, text=True, check=True)
+        run_program("node", "--check", "-", input=script)
         assert "</script" not in script
 
 
 def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
     """To a round number above the largest error of the cars that did not fail; above most errors where all failed."""
-    node, rng = find_program("node"), np.random.default_rng(4)
+    rng = np.random.default_rng(4)
     drives = [
         [(rng.exponential(scale) * rng.normal(size=200), failed) for failed in failures]
         for scale in (0.01, 0.05, 0.3, 4.0)
@@ -96,7 +93,6 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
         "for (const {columns} of drives.flat()) columns.error = Float64Array.from(columns.error);"
         "console.log(JSON.stringify(drives.map(topOf)));"
     )
-    process = subprocess.run([node, "-"], input=script, capture_output=True, text=True, check=True)
     expected = [
         offset_scale([
             SimpleNamespace(failure=failed or None, max_offset=size.max(), p95_offset=np.percentile(size, 95))
@@ -104,7 +100,7 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
         ])
         for drive in drives
     ]  # fmt: skip
-    assert json.loads(process.stdout) == pytest.approx(expected, rel=1e-9)
+    assert json.loads(run_program("node", "-", input=script)) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(("options", "message"), [
@@ -123,7 +119,7 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
     ({"profile": "production", "controllers": ["published"]}, "does not measure vy"),
 ])  # fmt: skip
 def test_what_the_page_cannot_drive_is_refused_before_it_is_written(options, message, tmp_path):
-    with pytest.raises(InvalidInput, match=re.escape(message)):
+    with pytest.raises(at.InvalidInput, match=re.escape(message)):
         at.export_page(tmp_path / "drive.html", **options)
     assert not list(tmp_path.iterdir())
 
@@ -162,11 +158,10 @@ def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
 
 
 # -- it opens ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("name", "way"),
-    [("chromium", "disk"), ("chromium", "server"), ("firefox", "disk"),
-     pytest.param("firefox", "server", marks=pytest.mark.slow)],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "way"), [
+    ("chromium", "disk"), ("chromium", "server"), ("firefox", "disk"),
+    pytest.param("firefox", "server", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
     find_program(name)
     with serve(page.parent) as (address, paths), BROWSERS[name]() as window:

@@ -3,7 +3,6 @@
 import functools
 import json
 import os
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 import adaptrack as at
 import page_drives
-from adaptrack.base.errors import AdaptrackError
 from adaptrack.cars.vehicle import pack_plant
 from adaptrack.control.controllers.base import Room
 from adaptrack.core import library
@@ -23,9 +21,8 @@ from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
 from adaptrack.export.page_setup import simulate_setup
-from adaptrack.scenario.profile import load_profile
 from pages import differing
-from programs import find_program
+from programs import find_program, run_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
 DRIVER = Path(__file__).parents[1] / "processors" / "page.mjs"
@@ -40,7 +37,7 @@ def parts():
 
     try:
         return _together(ENGINE), page_kernels(), json.dumps(page_data(), allow_nan=False)
-    except AdaptrackError as error:
+    except at.AdaptrackError as error:
         pytest.skip(str(error))
 
 
@@ -56,10 +53,8 @@ def ask(tmp_path_factory):
     def answers(*messages):
         folder = tmp_path_factory.mktemp("answers")
         (folder / "requests").write_text(json.dumps(messages))
-        files = [str(home / name) for name in ("worker.js", "kernels.wasm", "data.json")]
-        process = subprocess.run(["node", str(DRIVER), *files, str(folder / "requests"), str(folder)],
-                              capture_output=True, text=True, timeout=300)  # fmt: skip
-        assert process.returncode == 0, process.stderr
+        files = [home / name for name in ("worker.js", "kernels.wasm", "data.json")]
+        run_program("node", DRIVER, *files, folder / "requests", folder, timeout=300)
         return [_answer(folder, k) for k in range(len(list(folder.glob("*.json"))))]
 
     return answers
@@ -122,7 +117,7 @@ def test_a_drive_begins_with_what_its_controller_assumes_of_the_steering(ask):
     setup = page_drives.SETUPS["informed"]
     _, started = ask(drive(setup)[0])
     controller = page_setup.controller_of(
-        setup["controllers"][0], page_setup.car_of(setup["car"]), load_profile(setup["profile"])
+        setup["controllers"][0], page_setup.car_of(setup["car"]), at.load_profile(setup["profile"])
     )  # fmt: skip
     assumed = {name: controller.belief.steering[name] for name in ("lag", "dead_time")}
     assert started["cars"][0]["belief"] == assumed
@@ -167,7 +162,7 @@ def advance_message(periods):
 
 def by_python(before, touch, after):
     """States of `TOUCHED` driven by the package's kernels, with a touch of its run between two stretches."""
-    car, profile = page_setup.car_of(TOUCHED["car"]), load_profile("road")
+    car, profile = page_setup.car_of(TOUCHED["car"]), at.load_profile("road")
     road_drive, controller = (
         page_setup.drive_of(TOUCHED, car),
         page_setup.controller_of(TOUCHED["controllers"][0], car, profile),

@@ -1,12 +1,9 @@
 """Files that a user drops on the page are read as Python reads them; what is wrong with them is said in sentences."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
 import random
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +11,12 @@ import pytest
 
 import adaptrack as at
 from adaptrack import cli
-from adaptrack.cars.data_sheet import vehicle_from_data_sheet
-from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
 from adaptrack.core.kernel import row_of
 from adaptrack.core.roads import path
 from adaptrack.core.synthesis import car as cars
 from adaptrack.export.page_inputs import SECTIONS, car_fields, page_car
-from adaptrack.identification.reading import SIGNAL_COLUMNS, Reading, read_columns
-from programs import find_program
+from adaptrack.identification.reading import SIGNAL_COLUMNS, read_columns
+from programs import run_program
 
 HERE, PAGE = Path(__file__).parents[1] / "page", Path(at.__file__).parent / "export" / "page"
 needs_node = pytest.mark.needs("node")
@@ -35,11 +30,8 @@ def ask(calls):
 
 
 def ask_all(asking):
-    process = subprocess.run(
-        [find_program("node"), str(HERE / "inputs.mjs"), str(PAGE / "inputs.js")], input=json.dumps(asking), text=True,
-        capture_output=True, timeout=60, check=True,
-    )  # fmt: skip
-    return json.loads(process.stdout)
+    text = run_program("node", HERE / "inputs.mjs", PAGE / "inputs.js", input=json.dumps(asking), timeout=60)
+    return json.loads(text)
 
 
 def points_of(text, **options):
@@ -47,8 +39,8 @@ def points_of(text, **options):
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------
-SPORTY = load_vehicle("van").replace(steering=at.Steering(lag=0.2, rate=0.6), known_within=None)
-CARS = [*map(load_vehicle, list_vehicles()), vehicle_from_data_sheet("own", 1500.0, 2.7, load=75.0), SPORTY]
+SPORTY = at.load_vehicle("van").replace(steering=at.Steering(lag=0.2, rate=0.6), known_within=None)
+CARS = [*map(at.load_vehicle, at.list_vehicles()), at.vehicle_from_data_sheet("own", 1500.0, 2.7, load=75.0), SPORTY]
 
 
 @needs_node
@@ -62,16 +54,16 @@ def test_a_car_that_python_writes_is_read_as_it_is():
 
 
 def test_the_command_writes_what_the_page_reads(monkeypatch, capsys, tmp_path):
-    load_tyre("van").to_toml(tmp_path / "own-tyre.toml")
+    at.load_tyre("van").to_toml(tmp_path / "own-tyre.toml")
     SPORTY.replace(tyre=str(tmp_path / "own-tyre.toml")).to_toml(tmp_path / "own.toml")
     monkeypatch.setattr("sys.argv", ["adaptrack", "car", str(tmp_path / "own.toml"), "--json"])
     assert cli.main() == 0
-    assert json.loads(capsys.readouterr().out)["page_car"] == page_car(load_vehicle(tmp_path / "own.toml"))
+    assert json.loads(capsys.readouterr().out)["page_car"] == page_car(at.load_vehicle(tmp_path / "own.toml"))
 
 
 @needs_node
 def test_what_is_no_car_is_refused_in_words():
-    car = page_car(load_vehicle("van"))
+    car = page_car(at.load_vehicle("van"))
     cars = [
         None, 3, "car", [], {}, {**car, "numbers": None}, {**car, "numbers": {**car["numbers"], "mass": "heavy"}},
         {**car, "numbers": {**car["numbers"], "mass": -1}}, {**car, "numbers": {**car["numbers"], "mass": [1]}},
@@ -100,7 +92,7 @@ def is_refused_in_words(answer):
 @needs_node
 def test_random_bytes_and_torn_files_are_refused_in_words_and_soon():
     rng = random.Random(7)
-    content = json.dumps({"page_car": page_car(load_vehicle("model-car"))}).encode()
+    content = json.dumps({"page_car": page_car(at.load_vehicle("model-car"))}).encode()
     texts = [rng.randbytes(rng.randint(0, 400)) for _ in range(150)]
     texts += [bytes(rng.choice(b"[]{}=\".#\n\\a1,-_ '") for _ in range(rng.randint(1, 200))) for _ in range(250)]
     for _ in range(250):
@@ -144,7 +136,7 @@ def test_a_typed_sheet_becomes_the_car_that_python_makes_of_it():
         dict(zip(row.dtype.names, (None if x != x else x for x in row.tolist()), strict=True)) for row in (car, within)
     ]
     read_car = ask([("carOfSheet", [sheet, *rows], [])])[0]["value"]
-    expected = vehicle_from_data_sheet("a", 1500.0, 2.7, load=75.0, body_style="truck", lf=1.2)
+    expected = at.vehicle_from_data_sheet("a", 1500.0, 2.7, load=75.0, body_style="truck", lf=1.2)
     assert read_car["numbers"] == {key: getattr(expected, key) for key in read_car["numbers"]}
     assert read_car["known_within"] == json.loads(expected.known_within.model_dump_json())
     assert read_car["domain"] == json.loads(expected.domain.model_dump_json())
@@ -318,7 +310,7 @@ def test_what_path_through_answers_is_said_with_the_line():
 # -- a drive as a table ------------------------------------------------------------------------------------------------
 def drive_history(profile="road"):
     """A drive as a page keeps it."""
-    car = load_vehicle("midsize-sedan")
+    car = at.load_vehicle("midsize-sedan")
     road = at.generate_road("country", seed=2, length=600.0)
     run = at.simulate(at.DualTrack(car), at.MPC(car, profile=profile), at.RoadDrive(road, 15.0), profile=profile)
     columns = {
@@ -336,7 +328,7 @@ def test_python_reads_the_drive_that_the_page_writes(tmp_path):
     run, history = drive_history()
     text = ask([("writeDrive", [history, 0], [])])[0]["value"]
     (tmp_path / "drive.csv").write_text(text)
-    columns = read_columns(tmp_path / "drive.csv", Reading())
+    columns = read_columns(tmp_path / "drive.csv", at.Reading())
     assert columns.commanded
     assert not columns.ratio_unknown
     for signal, values in (("command", run.command), ("wheel", run.steering), ("speed", run.vx), ("yaw", run.psi),

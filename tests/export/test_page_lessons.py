@@ -1,7 +1,6 @@
 """What the page says is true: each lesson with the setup that it sets, the Python lines, the links."""
 
 import json
-import subprocess
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_setup
 from adaptrack.export.page_file import PAGE_SOURCES
 from adaptrack.export.page_setup import simulate_setup
-from programs import find_program
+from programs import run_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="whole drives"), pytest.mark.needs("node")]
 ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_setup.PAGE_ROADS}
@@ -24,10 +23,7 @@ def evaluate(expression, argument=None):
     const asked = {json.dumps(argument)}, page = {{setup: null, data: {{roads: {json.dumps(ROADS)}}}}};
     {script.replace('"use strict";', "")}
     process.stdout.write(JSON.stringify({expression}));"""
-    process = subprocess.run(
-        [find_program("node"), "-"], input=program, capture_output=True, text=True, timeout=60, check=True
-    )
-    return json.loads(process.stdout)
+    return json.loads(run_program("node", "-", input=program, timeout=60))
 
 
 @pytest.fixture(scope="module")

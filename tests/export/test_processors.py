@@ -8,7 +8,6 @@ processors and systems are run by an emulator; for what is missing here, a test 
 import ctypes
 import itertools
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -26,20 +25,17 @@ from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.batch import Batch
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import speed_part
-from adaptrack.road import plan_speed, road_through
 from by_kernels import CASES, make_order
 from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, run
-from programs import find_program
+from programs import EMULATORS, find_program, run_program
 from tracker_calls import calls
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]
 HERE = Path(__file__).parents[1] / "processors"
 EMULATED = {
-    "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
-    "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64"),
-    "windows-x86-64-v3": ("x86_64-w64-mingw32-gcc", "wine64"),
-}
+    "aarch64": EMULATORS["aarch64"], "riscv64": EMULATORS["riscv64"], "windows-x86-64-v3": EMULATORS["windows"],
+}  # fmt: skip
 STEPS, AHEAD = 3000, 60
 
 
@@ -59,8 +55,7 @@ def own_library():
 
 
 def test_a_library_leaves_nothing_undefined():
-    command = [find_program("nm"), "--dynamic", "--undefined-only", built_library(library.processor())]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == ""
+    assert run_program("nm", "--dynamic", "--undefined-only", built_library(library.processor())) == ""
 
 
 # -- what is called ---------------------------------------------------------------------------------------------------
@@ -177,29 +172,21 @@ def same(answers, expected):
 
 # -- who calls it -----------------------------------------------------------------------------------------------------
 def by_emulator(name, image, folder):
-    compiler, emulator = EMULATED[name]
-    compiler_path = find_program(compiler)
+    compiler, *emulator = EMULATED[name]
     names = image.functions
     (folder / "functions.h").write_text(
         "".join(f"extern void adaptrack_{name}(void);\n" for name in names)
         + f"static void (*FUNCTIONS[])(void) = {{{', '.join(f'adaptrack_{name}' for name in names) or '0'}}};\n"
     )
-    library_of_it = shutil.copy(built_library(name), folder / ("kernels.dll" if emulator == "wine64" else "kernels.so"))
-    driver = str(folder / "driver.exe")
-    inputs = str(HERE / "driver.c"), library_of_it
-    subprocess.run([compiler_path, "-O1", f"-I{folder}", *inputs, "-o", driver], check=True)
-    return [*emulated(compiler, emulator), driver, str(folder / "image"), str(folder / "answers")]
-
-
-def emulated(compiler, emulator):
-    """What runs a program of a compiler here."""
-    home = [] if emulator == "wine64" else ["-L", f"/usr/{compiler.removesuffix('-gcc')}"]
-    return [find_program(emulator), *home]
+    of_windows, driver = name.startswith("windows"), folder / "driver.exe"
+    library_file = shutil.copy(built_library(name), folder / ("kernels.dll" if of_windows else "kernels.so"))
+    run_program(compiler, "-O1", f"-I{folder}", HERE / "driver.c", library_file, "-o", driver)
+    return [*emulator, driver, folder / "image", folder / "answers"]
 
 
 def by_node(name, image, folder):
     files = HERE / "driver.mjs", built_library(name), folder / "image", folder / "answers"
-    return [find_program("node"), *map(str, files), *image.functions]
+    return ["node", *files, *image.functions]
 
 
 @pytest.mark.slow
@@ -211,8 +198,7 @@ def test_another_processor_gives_the_same_bits(name, content, images, tmp_path):
     image, expected = images[content]
     image.words().tofile(tmp_path / "image")
     command = (by_node if name == "wasm32" else by_emulator)(name, image, tmp_path)
-    process = subprocess.run(command, capture_output=True, text=True)
-    assert process.returncode == 0, process.stderr
+    run_program(*command)
     assert same(np.fromfile(tmp_path / "answers", np.int64), expected) == 0
 
 
@@ -240,8 +226,8 @@ SMALL = {
 
 def program(name, count, folder):
     """With a speed control: half of the samples are those of a drive with a stop and hills."""
-    path, controller = road_through(POINTS), SMALL[name]()
-    plan, samples = plan_speed(path, CAR), np.array(list(calls(np.random.default_rng(2), count, path)))
+    path, controller = at.road_through(POINTS), SMALL[name]()
+    plan, samples = at.plan_speed(path, CAR), np.array(list(calls(np.random.default_rng(2), count, path)))
     speed = at.SpeedControl(CAR, (0.6, 0.9)) if name == "speed control" else None
     if speed is not None:
         part = speed_part(speed, controller, plan)
@@ -270,11 +256,11 @@ def test_a_microcontroller_gives_the_same_bits_in_its_memory(target, name, tmp_p
 @pytest.mark.parametrize("name", SMALL)
 @pytest.mark.parametrize("target", EMULATED)
 def test_what_is_exported_gives_the_same_bits_on_another_processor(target, name, tmp_path):
-    compiler, emulator = EMULATED[target]
+    compiler, emulator, *options = EMULATED[target]
     if why := board.missing((compiler, emulator, "gcc")):
         pytest.skip(why)
     built_program = program(name, 2000, tmp_path)
-    answers = built_program.here(compiler, emulated(compiler, emulator))
+    answers = built_program.here(compiler, [find_program(emulator), *options])
     assert board.differing(built_program.here(), answers) == 0
 
 

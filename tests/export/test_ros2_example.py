@@ -1,7 +1,5 @@
 """The ROS 2 package: messages become the right numbers, and late and lost ones do not lose the car."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
@@ -14,7 +12,7 @@ import pytest
 
 import adaptrack as at
 import ros_messages
-from programs import find_program
+from programs import run_program
 from ros_messages import (
     PACKAGE,
     drive_stamped,
@@ -160,17 +158,13 @@ def test_the_car_follows_bends_within_five_centimetres(Follower):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize(
-    "channel",
-    [
-        {"late": lambda k: 0.15},
-        {"late": lambda k: 0.15, "has_motion": True},
-        {"late": lambda k: 0.2 if k % 2 else 0.1},
-        {"lost": lambda k: k % 4 == 3},
-        {"lost": lambda k: 100 <= k < 104},
-    ],
-    ids=["0.15 s late", "0.15 s late, prompt motion", "overtaking one another", "every fourth lost", "0.2 s lost"],
-)
+@pytest.mark.parametrize("channel", [
+    {"late": lambda k: 0.15},
+    {"late": lambda k: 0.15, "has_motion": True},
+    {"late": lambda k: 0.2 if k % 2 else 0.1},
+    {"lost": lambda k: k % 4 == 3},
+    {"lost": lambda k: 100 <= k < 104},
+], ids=["0.15 s late", "prompt motion", "overtaking", "every fourth lost", "0.2 s lost"])  # fmt: skip
 def test_late_and_lost_messages_do_not_lose_the_car(Follower, channel):
     loop = Loop(Follower).drive(10.0, **channel)
     assert loop.furthest < 0.05
@@ -381,12 +375,9 @@ def test_engaging_begins_at_the_angle_of_the_wheels(driving):
     assert driving.tick(0.1).angle == pytest.approx(0.4, abs=1.01 * ahead)
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}, {"drive_message": "Twist"},
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("values", [
+    {"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}, {"drive_message": "Twist"},
+])  # fmt: skip
 def test_parameters_that_are_not_possible_are_refused(values):
     with pytest.raises(at.InvalidInput):
         follower.Follower(Parameters(**values))
@@ -535,7 +526,6 @@ def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_hav
 @pytest.mark.compiled
 def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path):
     """With stand-ins of ament and of the packages that it finds."""
-    find_program("cmake")
     includes = ";".join(option.removeprefix("-I") for option in cpp[0].includes(folder)[2:])
     target = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
     target += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
@@ -552,26 +542,23 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
         folder, tmp_path / "package" / "controller", ignore=shutil.ignore_patterns("*.so", "*.o.d", "node*")
     )
     places = "-S", str(tmp_path / "package"), "-B", str(tmp_path / "build"), f"-DCMAKE_PREFIX_PATH={tmp_path}"
-    cpp[0].run("cmake", *places)
-    cpp[0].run("cmake", "--build", str(tmp_path / "build"))
+    run_program("cmake", *places)
+    run_program("cmake", "--build", str(tmp_path / "build"))
     assert (tmp_path / "build" / "follower").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.compiled
-@pytest.mark.parametrize(
-    "options",
-    [
-        (),
-        ("path_message", "autoware_planning_msgs/Trajectory"),
-        ("pose_message", "tf", "motion_message", "geometry_msgs/TwistStamped"),
-        ("pose_message", "geometry_msgs/PoseStamped", "motion_message", "geometry_msgs/TwistStamped",
-         "drive_message", "autoware_control_msgs/Control"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("options", [
+    (),
+    ("path_message", "autoware_planning_msgs/Trajectory"),
+    ("pose_message", "tf", "motion_message", "geometry_msgs/TwistStamped"),
+    ("pose_message", "geometry_msgs/PoseStamped", "motion_message", "geometry_msgs/TwistStamped",
+     "drive_message", "autoware_control_msgs/Control"),
+])  # fmt: skip
 def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
     report = dict(
-        line.split("=", 1) for line in cpp[0].run(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
+        line.split("=", 1) for line in run_program(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
     )
     assert int(report["commands"]) == pytest.approx(80, abs=2)
     assert (report["frame"], report["level"], report["message"]) == ("base_link", "0", "following")

@@ -1,7 +1,5 @@
 """An agent that commands the acceleration moves its car by the forces of its drive and brakes."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle
@@ -16,13 +14,12 @@ gymnasium = pytest.importorskip("gymnasium", reason="needs Gymnasium: pip instal
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import adaptrack.gym  # noqa: E402
-from adaptrack.base.errors import InvalidInput  # noqa: E402
 from adaptrack.gym import MPCTuningEnv, PathTrackingEnv, PathTrackingVectorEnv  # noqa: E402
-from adaptrack.road import Line, Road, Stop, plan_speed  # noqa: E402
+from adaptrack.road import Line, Stop  # noqa: E402
 from episodes import STEP, same_as_alone  # noqa: E402
 
 pytestmark = pytest.mark.compiled
-STRAIGHT = Road.from_segments([Line(length=600.0)], name="straight")
+STRAIGHT = at.Road.from_segments([Line(length=600.0)], name="straight")
 
 
 def straight_env(grade=0.0, speed=10.0, profile="paper"):
@@ -81,7 +78,7 @@ def test_the_cost_has_speed_error_and_change_of_the_acceleration():
 def test_planned_speeds_ahead_are_those_of_the_plan_also_beyond_a_stop_that_is_passed():
     car = at.load_vehicle("paper")
     road = STRAIGHT.replace(grade=0.0)
-    plan = plan_speed(road, car, stops=[Stop(60.0, 2.0)])
+    plan = at.plan_speed(road, car, stops=[Stop(60.0, 2.0)])
     env = PathTrackingEnv(road=at.RoadDrive(road, plan), profile="paper", acceleration=True, distances=(0.0, 30.0))
     observation, _ = env.reset(seed=1)
     run = env._loop.run
@@ -141,5 +138,5 @@ def test_the_offset_is_positive_to_the_left_of_the_path_in_both_environments():
     ({"acceleration_weight": math.inf}, "acceleration_weight"),
 ])  # fmt: skip
 def test_what_makes_no_environment_is_refused(options, message):
-    with pytest.raises(InvalidInput, match=message):
+    with pytest.raises(at.InvalidInput, match=message):
         PathTrackingEnv(road=STEP, acceleration=True, **options)

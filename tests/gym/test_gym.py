@@ -1,7 +1,5 @@
 """The environments drive what `simulate` drives, one car as 64, and keep Gymnasium's contract."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace as Answer
 
@@ -15,7 +13,6 @@ gymnasium = pytest.importorskip("gymnasium", reason="needs Gymnasium: pip instal
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import adaptrack.gym  # noqa: E402
-from adaptrack.base.errors import InvalidInput  # noqa: E402
 from adaptrack.gym import (  # noqa: E402
     MPCTuningEnv,
     MPCTuningVectorEnv,
@@ -200,7 +197,7 @@ def test_a_simulator_in_python_is_driven_and_what_is_seen_of_its_breakdown_is_fi
 
 @pytest.mark.compiled
 def test_a_simulator_in_python_is_not_driven_among_many():
-    with pytest.raises(InvalidInput, match="compiled"):
+    with pytest.raises(at.InvalidInput, match="compiled"):
         PathTrackingVectorEnv(2, car=Breaking(), road=STEP).reset()
 
 
@@ -225,7 +222,7 @@ def test_what_is_seen_of_a_bend_is_its_curvature():
     ({"distances": (-1.0,)}, "distances"),
 ])  # fmt: skip
 def test_what_makes_no_environment_is_refused(options, message):
-    with pytest.raises(InvalidInput, match=message):
+    with pytest.raises(at.InvalidInput, match=message):
         PathTrackingEnv(**{"road": STEP, **options})
 
 
@@ -235,13 +232,13 @@ def test_what_is_no_action_is_refused():
     for env in (single, several):
         env.reset()
         for action in ([math.nan], [0.0, 0.0], 0.0, "left", ["left"], None, object(), [object()], [1j], [10**400]):
-            with pytest.raises(InvalidInput, match="action"):
+            with pytest.raises(at.InvalidInput, match="action"):
                 env.step(action)
 
 
 @pytest.mark.parametrize("options", [{"seed": 3}, {"noise_seed": -1}, {"car_seed": 1}, {"road": 1}])
 def test_what_is_no_option_is_refused(options):
-    with pytest.raises(InvalidInput, match="reset"):
+    with pytest.raises(at.InvalidInput, match="reset"):
         PathTrackingEnv(road=STEP).reset(options=options)
 
 

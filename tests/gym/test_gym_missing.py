@@ -1,7 +1,5 @@
 """Without Gymnasium its room says which extra is missing."""
 
-from __future__ import annotations
-
 
 def test_without_gymnasium_the_extra_is_named(run_python):
     code = (

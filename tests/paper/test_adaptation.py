@@ -1,7 +1,5 @@
 """Schedules that learn on the closed loop, and their evaluation: separate data, resumable files, the guard, costs."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import shutil
@@ -11,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from adaptrack.base.errors import InvalidInput, StorageError
+import adaptrack as at
 from adaptrack.base.statistics import geometric_mean
 from adaptrack.control import scheduling
-from adaptrack.control.controllers import Tuning
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation, evaluation, improvement
@@ -51,7 +48,7 @@ def contents(folder):
     ({"move_weight": 1.0}, "move_weight = 1.0"),
 ])  # fmt: skip
 def test_a_campaign_from_which_schedules_cannot_learn_is_refused(tmp_path, changes, words):
-    with pytest.raises(InvalidInput, match=f"'pond'.*{words}"):
+    with pytest.raises(at.InvalidInput, match=f"'pond'.*{words}"):
         task_of(tmp_path, **changes)
 
 
@@ -62,7 +59,7 @@ def test_a_domain_without_a_safe_constant_is_refused_before_any_run_with_the_lar
     changes = {"operating_points": CAMPAIGN["operating_points"] | {"box": box}, "vehicle": "midsize-sedan"}
     campaign = load_campaign(write(tmp_path, **changes))
     monkeypatch.setattr(adaptation, "run_campaign", lambda *arguments, **parameters: pytest.fail("the campaign ran"))
-    with short_cuts(), pytest.raises(InvalidInput, match="Narrow the box") as error:
+    with short_cuts(), pytest.raises(at.InvalidInput, match="Narrow the box") as error:
         adaptation.adapt(campaign, tmp_path / "out", effort=EFFORT)
     low = float(re.search(r"can hold is (\S+) to 30 m/s", str(error.value))[1])
     assert 3.0 < low < 30.0
@@ -94,7 +91,9 @@ def test_no_operating_point_drive_or_noise_is_in_two_of_learning_holding_out_and
         )
 
     monkeypatch.setattr(evaluation, "find_optimum", lambda *arguments: np.ones((2000, 4)))
-    constants = dict.fromkeys(("best constant", "best constant on drives", "fallback"), scheduling.Constant(Tuning()))
+    constants = dict.fromkeys(
+        ("best constant", "best constant on drives", "fallback"), scheduling.Constant(at.Tuning())
+    )
     record("learning")
     road.training()
     record("holding out")
@@ -121,7 +120,7 @@ def test_no_operating_point_drive_or_noise_is_in_two_of_learning_holding_out_and
 
 def test_an_evaluation_on_operating_points_that_were_learned_from_is_refused(tmp_path):
     points = CAMPAIGN["operating_points"] | {"seed": 10_007}
-    with pytest.raises(InvalidInput, match="seed = 7: these operating points were learned from"):
+    with pytest.raises(at.InvalidInput, match="seed = 7: these operating points were learned from"):
         evaluation.evaluation_points(task_of(tmp_path, operating_points=points), 8, 7)
 
 
@@ -176,7 +175,7 @@ def test_a_resumed_adaptation_keeps_finished_schedules_and_makes_the_others_with
 ):
     folder = shutil.copytree(chain.folder, tmp_path / "out")
     (folder / "schedulers" / "look-up.json").unlink()
-    other = scheduling.Constant(Tuning(12, 2, 1.0, 50.0))
+    other = scheduling.Constant(at.Tuning(12, 2, 1.0, 50.0))
     replace(other, provenance={"identity": "of another campaign"}).save(folder / "schedulers" / "fallback.json")
     monkeypatch.setattr(adaptation, "improve", lambda *arguments, **parameters: pytest.fail("it learned again"))
     with short_cuts():
@@ -184,7 +183,7 @@ def test_a_resumed_adaptation_keeps_finished_schedules_and_makes_the_others_with
     assert contents(folder) == contents(chain.folder)
     half = (folder / "schedulers" / "nn.json").read_bytes()[:500]
     (folder / "schedulers" / "nn.json").write_bytes(half)
-    with pytest.raises(StorageError, match=r"nn\.json.*damaged"):
+    with pytest.raises(at.StorageError, match=r"nn\.json.*damaged"):
         adaptation.adapt(load_campaign(chain.file), folder, workers=1, effort=EFFORT)
 
 
@@ -274,8 +273,8 @@ def check_guard(guarded, rng):
     axes = stability.table.axes
     table = RegularGridInterpolator(axes, stability.table.values)
 
-    def peak(tunings, at=rows[:, [0, 2]]):
-        positions = np.column_stack([at, coordinates(tunings)])
+    def peak(tunings, places=rows[:, [0, 2]]):
+        positions = np.column_stack([places, coordinates(tunings)])
         return table(np.clip(positions, [axis[0] for axis in axes], [axis[-1] for axis in axes]))
 
     inputs = rows[:, [scheduling.SchedulingVariables._fields.index(name) for name in guarded.inputs]]
@@ -324,7 +323,7 @@ def test_on_operating_points_the_reference_is_the_optimum_and_the_table_knows_th
         return compare(runs, contenders, *parameters)
 
     monkeypatch.setattr(evaluation, "compare", note)
-    schedules = chain.schedules | {"mine": scheduling.Constant(Tuning(30, 5, 1.0, 4000.0))}
+    schedules = chain.schedules | {"mine": scheduling.Constant(at.Tuning(30, 5, 1.0, 4000.0))}
     comparisons = evaluate_on_operating_points(chain.task, schedules, 4, 7, perception=("exact", "noisy"))
     exact, noisy = comparisons["exact"], comparisons["noisy"]
     assert set(exact.contenders) == {*EVALUATED, "mine", "optimum"}

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import AdaptrackError, InvalidInput, MissingExtra, StorageError
-from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
+import adaptrack as at
 from adaptrack.paper import campaign as module
 from adaptrack.paper.campaign import run_campaign, tuned_mpc
 from adaptrack.paper.campaign_config import (
@@ -25,7 +24,6 @@ from adaptrack.paper.campaign_config import (
 )
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.operating_points import fold
-from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.pso import SearchBounds
 from small_data import small_campaign
 
@@ -85,9 +83,9 @@ def test_a_campaign_tunes_the_papers_controller_in_the_loop_of_its_profile(toml)
 
 
 def test_the_cars_steering_does_not_count_and_a_profile_counts_by_its_content(toml, tmp_path):
-    cars, profiles, world = set(), set(), load_profile("road")
+    cars, profiles, world = set(), set(), at.load_profile("road")
     for lag in (0.1, 0.2):
-        load_vehicle("paper").replace(steering=Steering(lag=lag)).to_toml(tmp_path / "mine.toml")
+        at.load_vehicle("paper").replace(steering=at.Steering(lag=lag)).to_toml(tmp_path / "mine.toml")
         cars.add(CampaignPlan.of(load_campaign(toml(vehicle='"mine.toml"'))).identity)
         world.replace(name="lab", steering=world.steering.replace(lag=lag)).to_toml(tmp_path / "lab.toml")
         profiles.add(CampaignPlan.of(load_campaign(toml(profile='"lab.toml"'))).identity)
@@ -137,14 +135,14 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
     ({"tyre": '"no-such.toml"'}, "no-such.toml: cannot be read"),
 ])  # fmt: skip
 def test_a_bad_configuration_is_one_clear_error_before_any_work_starts(toml, tmp_path, changes, message):
-    with pytest.raises(AdaptrackError, match=message):
+    with pytest.raises(at.AdaptrackError, match=message):
         run_campaign(load_campaign(toml(**changes)), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_files_of_car_and_tyre_are_looked_for_beside_the_campaign(toml, tmp_path):
-    load_vehicle("paper").replace(name="heavy", mass=2000.0).to_toml(tmp_path / "heavy.toml")
-    load_tyre("passenger-car").replace(name="mine").to_toml(tmp_path / "mine.toml")
+    at.load_vehicle("paper").replace(name="heavy", mass=2000.0).to_toml(tmp_path / "heavy.toml")
+    at.load_tyre("passenger-car").replace(name="mine").to_toml(tmp_path / "mine.toml")
     plan = CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"', tyre='"mine.toml"')))
     assert plan.settings["vehicle"]["mass"] == 2000.0
     assert plan.settings["tyre"]["name"] == "mine"
@@ -152,7 +150,7 @@ def test_files_of_car_and_tyre_are_looked_for_beside_the_campaign(toml, tmp_path
 
 
 def test_the_identity_changes_with_everything_that_the_data_depend_on_and_with_nothing_else(toml, tmp_path):
-    car = load_vehicle("paper").replace(name="heavy")
+    car = at.load_vehicle("paper").replace(name="heavy")
     car.to_toml(tmp_path / "heavy.toml")
     base = CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"'))).identity
     for changes in ({"chunk": "7"}, {"description": '"words"'}, {"duration": "18.0"}, {"mirror": "true"}):
@@ -342,34 +340,34 @@ def test_a_part_that_does_not_belong_here_is_refused_before_any_work(
     if edit is not None:
         edit(tmp_path / "parts" / "00000.parquet")
     monkeypatch.setattr(module, "tune_point", None)
-    with pytest.raises(StorageError, match=words):
+    with pytest.raises(at.StorageError, match=words):
         run_campaign(small_campaign(**changes), tmp_path, workers=1)
 
 
 def test_a_part_that_cannot_be_written_is_a_storage_error_and_leaves_nothing_torn(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", lambda *paths: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-    with pytest.raises(StorageError, match=r"00000\.parquet: cannot be written: No space left"):
+    with pytest.raises(at.StorageError, match=r"00000\.parquet: cannot be written: No space left"):
         run_campaign(small_campaign(), tmp_path, workers=1)
     assert not list((tmp_path / "parts").iterdir())
 
 
 def test_a_folder_that_cannot_be_created_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="cannot be created"):
+    with pytest.raises(at.StorageError, match="cannot be created"):
         run_campaign(small_campaign(), tmp_path / "file" / "out")
 
 
 # -- workers ----------------------------------------------------------------------------------------------------------
 def test_a_worker_with_other_software_is_refused():
     setup, software = CampaignPlan.of(small_campaign()).setup, (("adaptrack", "0.0.1"),)
-    with pytest.raises(AdaptrackError, match="a worker runs other software"):
+    with pytest.raises(at.AdaptrackError, match="a worker runs other software"):
         module.tune_point(setup, software, 0, np.array([10.0, 2.0, 0.8, 0.0]))
 
 
 @pytest.mark.parametrize(("options", "error", "words"), [
-    ({"workers": 0}, InvalidInput, "workers"),
-    ({"workers": 1, "cluster": "tcp://127.0.0.1:1"}, InvalidInput, "give one of them"),
-    ({"cluster": "tcp://127.0.0.1:1"}, MissingExtra, r"python -m pip install 'adaptrack\[cluster\]'"),
+    ({"workers": 0}, at.InvalidInput, "workers"),
+    ({"workers": 1, "cluster": "tcp://127.0.0.1:1"}, at.InvalidInput, "give one of them"),
+    ({"cluster": "tcp://127.0.0.1:1"}, at.MissingExtra, r"python -m pip install 'adaptrack\[cluster\]'"),
 ])  # fmt: skip
 def test_impossible_workers_are_refused_and_a_missing_dask_is_answered_with_the_command(
     tmp_path, monkeypatch, options, error, words
@@ -420,5 +418,5 @@ def test_a_dask_cluster_gives_the_same_bytes_and_one_without_workers_is_refused(
 ])  # fmt: skip
 @pytest.mark.filterwarnings("ignore")
 def test_an_address_without_a_scheduler_is_refused(tmp_path, address, words):
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(at.InvalidInput, match=words):
         run_campaign(small_campaign(), tmp_path, cluster=address)

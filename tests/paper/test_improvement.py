@@ -11,10 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.base.errors import InvalidInput
+import adaptrack as at
 from adaptrack.base.statistics import geometric_mean
-from adaptrack.control.controllers import Tuning
-from adaptrack.control.scheduling import Learned, Number, SchedulingVariables
+from adaptrack.control.scheduling import Number
 from adaptrack.paper import improvement
 from adaptrack.paper.improvement import (
     LEARNED_OUTPUTS,
@@ -103,7 +102,7 @@ class Bowl(RunSet):
         rng = np.random.default_rng(seed)
         self.best, self.noise, self.scale_of = best, noise, np.ones(runs) if scale is None else scale
         self.segment, self.before, self.stride = 10, 0, 5
-        self.variables = np.zeros((runs, 10 * segments, len(SchedulingVariables._fields)))
+        self.variables = np.zeros((runs, 10 * segments, len(at.SchedulingVariables._fields)))
         for column, (low, high) in ((0, (5.0, 30.0)), (2, (0.3, 1.0))):
             self.variables[..., column] = np.repeat(rng.uniform(low, high, (runs, segments)), 10, axis=1)
         self.asked = []
@@ -153,14 +152,14 @@ def constant_schedule(by):
     values = (float(START.Np), float(START.Nc), math.log10(START.R))
     pairs = enumerate(zip(LEARNED_OUTPUTS, values, strict=True))
     functions = {slot: Number(value).shifted(by[i]) for i, (slot, value) in pairs}
-    return Learned(functions, INPUTS, DOMAIN, TUNING_BOUNDS)
+    return at.Learned(functions, INPUTS, DOMAIN, TUNING_BOUNDS)
 
 
 def test_the_landscape_says_for_every_segment_where_its_inputs_want_to_go():
     bowl = Bowl(along_speed_and_friction, noise=0.0)
     indices = np.array([3, 7, 8])
     rows, moves, weights = explore_landscape(bowl, constant_schedule, 1, indices)
-    assert rows.shape == (3 * 3 * 2, len(SchedulingVariables._fields))
+    assert rows.shape == (3 * 3 * 2, len(at.SchedulingVariables._fields))
     assert moves.shape == weights.shape == (3 * 3 * 2, 3)
     expected = along_speed_and_friction(rows) - [START.Np, START.Nc, math.log10(START.R)]
     exact = np.array([True, False, True])  # Nc is rounded, its shift is not whole
@@ -199,7 +198,7 @@ class Failing(Bowl):
 
     def segments(self, policy, seed, indices):
         cost = super().segments(policy, seed, indices)
-        if policy(SchedulingVariables(20.0, 0.0, 0.8, 0.0))[0] > 30.0:
+        if policy(at.SchedulingVariables(20.0, 0.0, 0.8, 0.0))[0] > 30.0:
             cost[:, 1], cost[:, 2:] = np.inf, np.nan
         return cost
 
@@ -225,7 +224,7 @@ class Narrow(Bowl):
 
     def segments(self, policy, seed, indices):
         cost = np.ones((len(indices), 5))
-        *_, Q, R = policy(SchedulingVariables(20.0, 0.0, 0.8, 0.0))
+        *_, Q, R = policy(at.SchedulingVariables(20.0, 0.0, 0.8, 0.0))
         failed = math.log10(R / Q) < self.edge[indices] - 1e-9
         cost[failed, 2], cost[failed, 3:] = np.inf, np.nan
         return cost
@@ -247,7 +246,7 @@ def test_what_saves_a_failed_run_is_learned_where_it_failed_and_before():
     base = towards(5.6).schedule
     _, moves, weights = explore_landscape(runs, constant_schedule, 1, np.arange(5), towards(5.6))
     plain_moves, plain_weights = explore_landscape(runs, constant_schedule, 1, np.arange(5))[1:]
-    assert base(0.0)(SchedulingVariables(20.0, 0.0, 0.8, 0.0))[3] == pytest.approx(10**start)
+    assert base(0.0)(at.SchedulingVariables(20.0, 0.0, 0.8, 0.0))[3] == pytest.approx(10**start)
     moves, plain_moves, weights, plain_weights = (
         array.reshape(5, 5, 2, 3) for array in (moves, plain_moves, weights, plain_weights)
     )  # segment, run, look, output
@@ -264,7 +263,7 @@ def test_what_saves_a_failed_run_is_learned_where_it_failed_and_before():
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("safe", [None, Tuning(34, 8, 1.0, 10**4.6)])
+@pytest.mark.parametrize("safe", [None, at.Tuning(34, 8, 1.0, 10**4.6)])
 def test_beyond_a_cliff_only_what_saves_the_runs_shows_the_way(safe):
     # Three shifts away from where every run fails: no shift says anything of the failure.
     runs = Narrow(np.full(24, 4.2))
@@ -279,7 +278,7 @@ def test_beyond_a_cliff_only_what_saves_the_runs_shows_the_way(safe):
 def test_improving_finds_the_known_optimum(kind):
     best = same_everywhere if kind == "constant" else along_speed_and_friction
     improved = improve(beginning(kind), [(Bowl(best), 32)], [Bowl(best, seed=1)], rounds=25)
-    rows = Bowl(best, seed=2).variables.reshape(-1, len(SchedulingVariables._fields))
+    rows = Bowl(best, seed=2).variables.reshape(-1, len(at.SchedulingVariables._fields))
     Np, Nc, Q, R = improved.schedule.batch(rows).T
     off = np.abs(np.column_stack([Np, Nc, np.log10(R / Q)]) - best(rows))
     assert (np.sqrt((off**2).mean(axis=0)) < [0.5, 0.5, 0.03]).all()  # rounding alone leaves 0.29 of a horizon
@@ -322,7 +321,7 @@ def test_the_best_round_is_kept_with_its_surfaces(monkeypatch):
 def test_learned_tunings_stay_within_their_bounds_and_the_wish_to_leave_them_does_not_grow():
     beyond = Bowl(lambda rows: np.broadcast_to([90.0, -5.0, 9.0], (*rows.shape[:-1], 3)))
     improved = improve(beginning("constant"), [(beyond, 8)], [beyond], rounds=30)
-    assert improved.schedule(SchedulingVariables(10.0, 0.0, 0.5, 0.0)) == pytest.approx((60.0, 1.0, 1.0, 1e6))
+    assert improved.schedule(at.SchedulingVariables(10.0, 0.0, 0.5, 0.0)) == pytest.approx((60.0, 1.0, 1.0, 1e6))
     assert [improved.surfaces[slot].value for slot in LEARNED_OUTPUTS] == pytest.approx([60.0, 1.0, 6.0])
 
 
@@ -343,7 +342,7 @@ def test_it_learns_at_the_inputs_that_a_scheduler_would_see():
     start = Learnable({slot: Watched(30.0) for slot in LEARNED_OUTPUTS}, ("friction", "speed"), domain)
     Watched.fitted = []
     improve(start, [(bowl, 48)], [bowl], rounds=1)
-    inputs = bowl.variables[:, ::5].reshape(-1, len(SchedulingVariables._fields))[:, [2, 0]]
+    inputs = bowl.variables[:, ::5].reshape(-1, len(at.SchedulingVariables._fields))[:, [2, 0]]
     for fitted in Watched.fitted:
         np.testing.assert_array_equal(np.unique(fitted, axis=0), np.unique(np.clip(inputs, *domain.T), axis=0))
 
@@ -398,7 +397,7 @@ def test_noise_is_new_in_every_round_and_never_that_of_the_scores(seed):
     ({"surfaces": {"Np": Level(30.0)}}, "Np, Nc, log10_ratio"),
 ])  # fmt: skip
 def test_a_missing_surface_and_an_input_unknown_before_driving_are_refused(changes, words):
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(at.InvalidInput, match=words):
         improve(replace(beginning("constant"), **changes), [], [])
 
 
@@ -408,5 +407,5 @@ def test_on_real_runs_learning_lowers_the_cost_of_runs_that_it_never_saw(monkeyp
     slow = {slot: Level(value) for slot, value in zip(LEARNED_OUTPUTS, (45.0, 3.0, 4.6), strict=True)}
     train, held_out = run_set(lane_changes(24, 4.0)[:16]), run_set(lane_changes(24, 4.0)[16:])
     improved = improve(Learnable(slow, INPUTS, DOMAIN), [(train, 16)], [held_out], rounds=8)
-    before = held_out.costs(Tuning(45, 3, 1.0, 10.0**4.6), [12345])
+    before = held_out.costs(at.Tuning(45, 3, 1.0, 10.0**4.6), [12345])
     assert geometric_mean(held_out.costs(improved.schedule, [12345])) < 0.7 * geometric_mean(before)

@@ -11,10 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.base.errors import InvalidInput
+import adaptrack as at
 from adaptrack.base.result import Column
-from adaptrack.control.scheduling import Constant, check_scheduler
-from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import reproduce as paper
 from adaptrack.paper.reproduce import best_of_library, grid_lookup, reproduce
@@ -74,23 +72,23 @@ def test_the_look_up_table_holds_the_tuning_of_every_operating_point():
     data = small()
     table = grid_lookup(data)
     assert table.batch(data.operating_points) == pytest.approx(data.tunings)
-    check_scheduler(table)
+    at.check_scheduler(table)
 
 
 def test_a_look_up_table_needs_a_full_grid():
     data = small()
-    with pytest.raises(InvalidInput, match="do not fill a grid"):
+    with pytest.raises(at.InvalidInput, match="do not fill a grid"):
         grid_lookup(data.rows(np.arange(len(data)) != 7))
     twice = np.arange(len(data))
     twice[7] = 8
-    with pytest.raises(InvalidInput, match="do not fill a grid"):
+    with pytest.raises(at.InvalidInput, match="do not fill a grid"):
         grid_lookup(data.rows(twice))
 
 
 @pytest.mark.parametrize("key", [("nn", "paper"), ("anfis", "paper"), ("nn", "ratio")])
 def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_search(trained, key):
     schedule = trained_schedule(trained[key], small())
-    check_scheduler(schedule)
+    at.check_scheduler(schedule)
     wild = small().operating_points * [3.0, 9.0, 1.0, 5.0]
     tunings = schedule.batch(wild)
     low, high = np.array([SEARCH[name] for name in ("Np", "Nc", "Q", "R")], dtype=float).T
@@ -101,7 +99,7 @@ def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_searc
 
 
 def test_a_data_set_that_does_not_tell_its_search_is_refused(trained):
-    with pytest.raises(InvalidInput, match="bounds of its search"):
+    with pytest.raises(at.InvalidInput, match="bounds of its search"):
         trained_schedule(trained["nn", "paper"], small(provenance={"name": "mute"}))
 
 
@@ -160,7 +158,7 @@ def test_clipped_steps_are_those_that_the_scheduler_counts(study):
     controller = paper.PaperController("lookup", paper.ADAPTIVE_MOVES, schedule=grid_lookup(small()))
     plant = paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness")
     for test in TESTS:
-        counted = rollout_batch(plant, controller.mpc(preview=False), paper.load_scenario(test)).scheduler
+        counted = at.rollout_batch(plant, controller.mpc(preview=False), paper.load_scenario(test)).scheduler
         (row,) = [
             row
             for row in study.rows
@@ -190,7 +188,7 @@ def test_the_ablation_has_every_moves_with_every_tuning(study):
 
 
 def test_a_schedule_that_says_the_tables_constant_makes_adaptation_nothing():
-    table = Constant(paper.PAPER_TABLE)
+    table = at.Constant(paper.PAPER_TABLE)
     plant = paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness")
     scenarios = [paper.load_scenario("sine", duration=3.0)]
     rows = paper.ablation(plant, scenarios, paper.PAPER_TABLE, {"nn": table, "anfis": table}, LIBRARY)

@@ -1,7 +1,5 @@
 """Surfaces that take a step of a weighted regression."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

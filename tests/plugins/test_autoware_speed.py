@@ -7,23 +7,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import adaptrack as at
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle, simulate
-from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.speed_control import SpeedState
-from adaptrack.road import Arc, Comfort, Line, Road, Stop, plan_speed
-from adaptrack.scenario import load_scenario
+from adaptrack.road import Arc, Comfort, Line, Stop
 from autoware_speed import AutowareSpeed
 
 CAR = load_vehicle("midsize-sedan")
 PERIOD = 0.05
 
 
-def _straight(**along: object) -> Road:
-    return Road.from_segments([Line(length=300.0)], name="straight").replace(**along)
+def _straight(**along: object) -> at.Road:
+    return at.Road.from_segments([Line(length=300.0)], name="straight").replace(**along)
 
 
-def _plan(road: Road):
-    return plan_speed(road, CAR, Comfort(accelerate=1.0, brake=1.0, jerk=1.0), stops=[Stop(150.0, 2.0)], top_speed=10.0)
+def _plan(road: at.Road):
+    return at.plan_speed(
+        road, CAR, Comfort(accelerate=1.0, brake=1.0, jerk=1.0), stops=[Stop(150.0, 2.0)], top_speed=10.0
+    )
 
 
 def test_an_ideal_car_follows_the_plan_stands_at_the_stop_and_goes_on() -> None:
@@ -64,7 +65,7 @@ def test_a_car_that_overruns_its_stop_brakes_as_in_an_emergency_until_it_stands(
 
 
 def test_a_stop_of_a_closed_road_that_is_left_comes_again_a_lap_later() -> None:
-    ring = Road.from_segments([Arc(length=300.0, curvature=2.0 * np.pi / 300.0)], name="ring", closed=True)
+    ring = at.Road.from_segments([Arc(length=300.0, curvature=2.0 * np.pi / 300.0)], name="ring", closed=True)
     follower = AutowareSpeed(CAR).begin(ring, _plan(ring), PERIOD)
     for _ in range(60):
         follower.step(150.0, 0.0, 0.0)
@@ -73,8 +74,8 @@ def test_a_stop_of_a_closed_road_that_is_left_comes_again_a_lap_later() -> None:
 
 
 def test_it_drives_a_simulated_car_whose_requests_are_recorded() -> None:
-    road = Road.from_segments([Line(length=80.0)], name="short")
-    plan = plan_speed(road, CAR, Comfort(accelerate=1.5, brake=1.5), top_speed=8.0)
+    road = at.Road.from_segments([Line(length=80.0)], name="short")
+    plan = at.plan_speed(road, CAR, Comfort(accelerate=1.5, brake=1.5), top_speed=8.0)
     run = simulate(DualTrack(CAR), MPC(CAR, profile="road"), RoadDrive(road, plan), driver=AutowareSpeed(CAR))
     assert run.failed is None
     moving = run.vx > 3.0
@@ -84,10 +85,10 @@ def test_it_drives_a_simulated_car_whose_requests_are_recorded() -> None:
 
 def test_a_driver_of_your_own_needs_a_road_and_finite_forces() -> None:
     controller = MPC(CAR, profile="road")
-    with pytest.raises(InvalidInput, match="AutowareSpeed follows a plan along a road"):
-        simulate(DualTrack(CAR), controller, load_scenario("double-lane-change"), driver=AutowareSpeed(CAR))
+    with pytest.raises(at.InvalidInput, match="AutowareSpeed follows a plan along a road"):
+        simulate(DualTrack(CAR), controller, at.load_scenario("double-lane-change"), driver=AutowareSpeed(CAR))
     wild = SimpleNamespace(force=float("nan"), hold=0.0)
     driver = SimpleNamespace(begin=lambda path, plan, period: SimpleNamespace(step=lambda *_: wild))
     road = _straight()
-    with pytest.raises(ContractError, match="the force must be finite"):
+    with pytest.raises(at.ContractError, match="the force must be finite"):
         simulate(DualTrack(CAR), controller, RoadDrive(road, _plan(road)), driver=driver)

@@ -11,7 +11,6 @@ import adaptrack as at
 import commonroad_cars
 import commonroad_kernel as kernel
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.errors import ConfigError, ContractError, InvalidInput, MissingExtra, UnknownName
 from adaptrack.cars.plant import twin_of
 from commonroad_cars import CARS, MODELS, commonroad_parameters, commonroad_plant, commonroad_vehicle
 
@@ -177,7 +176,7 @@ def test_the_data_sheet_has_the_yaw_gain_of_the_drift_model(number):
 
 def test_the_models_pass_the_checker_which_names_the_option_for_their_lopsided_tyres(plant):
     at.check_plant(plant, symmetric=False, period=0.05)
-    with pytest.raises(ContractError, match=r"go straight.*symmetric=False"):
+    with pytest.raises(at.ContractError, match=r"go straight.*symmetric=False"):
         at.check_plant(plant, period=0.05)
 
 
@@ -207,30 +206,38 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
     assert commonroad_plant(DRIFT, file).mass == 1200.0
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"m": None}, "m is missing"),
-    ({"I_z": "heavy"}, "I_z = 'heavy' is no number"),
-    ({"tire": {"p_ky1": math.nan}}, r"tire\.p_ky1 = nan is not finite.*"),
-    ({"steering": {}}, r"steering\.min is missing, steering\.max is missing"),
+def changed(**changes):
+    return commonroad_parameters(commonroad_parameters(2) | changes)
+
+
+def of_body(car, *tyre):
+    return at.get_plant("commonroad-multi-body", car, *tyre)
+
+
+NUMBERS = r"1 \(Ford Escort\), 2 \(BMW 320i\), 3 \(VW Vanagon\)"
+
+
+@pytest.mark.parametrize(("call", "error", "words"), [
+    (lambda: changed(m=None), at.ConfigError, "m is missing"),
+    (lambda: changed(I_z="heavy"), at.ConfigError, "I_z = 'heavy' is no number"),
+    (lambda: changed(tire=commonroad_parameters(2)["tire"] | {"p_ky1": math.nan}), at.ConfigError,
+     r"tire\.p_ky1 = nan is not finite.*"),
+    (lambda: changed(steering={}), at.ConfigError, r"steering\.min is missing, steering\.max is missing"),
+    (lambda: commonroad_parameters(2.5), at.InvalidInput, "number"),
+    (lambda: commonroad_vehicle(0), at.UnknownName, NUMBERS),
+    (lambda: commonroad_vehicle(4), at.UnknownName, NUMBERS),
+    (lambda: commonroad_vehicle(7), at.UnknownName, NUMBERS),
+    (lambda: commonroad_vehicle(True), at.UnknownName, NUMBERS),
+    (lambda: commonroad_plant("multibody", 2), at.UnknownName, "multi-body"),
+    (lambda: of_body(at.load_vehicle("paper")), at.InvalidInput,
+     r"'paper' is none of CommonRoad's: take commonroad_vehicle"),
+    (lambda: of_body(commonroad_vehicle(1).replace(mass=900.0)), at.InvalidInput,
+     r"mass = 900\.0.*give the controller"),
+    (lambda: of_body(commonroad_vehicle(1), "passenger-car"), at.InvalidInput, "leave the tyre out"),
 ])  # fmt: skip
-def test_what_is_wrong_with_parameters_is_named(change, message):
-    parameters = commonroad_parameters(2)
-    changed = parameters | {k: (parameters[k] | v if v and isinstance(v, dict) else v) for k, v in change.items()}
-    with pytest.raises(ConfigError, match=message):
-        commonroad_parameters(changed)
-
-
-@pytest.mark.parametrize("number", [0, 4, 7, True])
-def test_other_numbers_are_refused_with_those_there_are(number):
-    with pytest.raises(UnknownName, match=r"1 \(Ford Escort\), 2 \(BMW 320i\), 3 \(VW Vanagon\)"):
-        commonroad_vehicle(number)
-
-
-def test_a_model_that_does_not_exist_is_named():
-    with pytest.raises(UnknownName, match="multi-body"):
-        commonroad_plant("multibody", 2)
-    with pytest.raises(InvalidInput, match="number"):
-        commonroad_parameters(2.5)
+def test_what_is_none_of_commonroads_is_refused_in_words(call, error, words):
+    with pytest.raises(error, match=words):
+        call()
 
 
 # -- by name ----------------------------------------------------------------------------------------------------------
@@ -244,23 +251,13 @@ def test_get_plant_drives_the_car_of_the_data_sheet_in_its_air(tmp_path):
     assert {"commonroad-multi-body", "commonroad-single-track-drift"} <= set(at.list_plants())
 
 
-def test_get_plant_refuses_another_car_another_body_and_a_tyre():
-    name = "commonroad-multi-body"
-    with pytest.raises(InvalidInput, match=r"'paper' is none of CommonRoad's: take commonroad_vehicle"):
-        at.get_plant(name, at.load_vehicle("paper"))
-    with pytest.raises(InvalidInput, match=r"mass = 900\.0.*give the controller"):
-        at.get_plant(name, commonroad_vehicle(1).replace(mass=900.0))
-    with pytest.raises(InvalidInput, match="leave the tyre out"):
-        at.get_plant(name, commonroad_vehicle(1), "passenger-car")
-
-
 def test_without_their_package_or_a_compiler_the_remedy_is_named(monkeypatch):
     monkeypatch.setattr(commonroad_cars, "compiles", lambda: False)
-    with pytest.raises(MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):
+    with pytest.raises(at.MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):
         commonroad_plant(DRIFT, 1)
     monkeypatch.setitem(sys.modules, "vehiclemodels.vehicle_parameters", None)
     commonroad_cars._shipped.cache_clear()
-    with pytest.raises(MissingExtra, match="pip install commonroad-vehicle-models"):
+    with pytest.raises(at.MissingExtra, match="pip install commonroad-vehicle-models"):
         commonroad_vehicle(1)
 
 
@@ -280,7 +277,7 @@ def test_the_drift_model_is_linearised_and_the_multi_body_model_whose_tyres_jump
     names, a, _ = linearised(drift, 15.0)
     assert {"vy", "yaw_rate"} <= set(names)
     assert np.linalg.eigvals(a).real.max() < 1e-6
-    with pytest.raises(InvalidInput, match=r"derivatives jump with .*single-track"):
+    with pytest.raises(at.InvalidInput, match=r"derivatives jump with .*single-track"):
         linearised(body, 15.0)
 
 

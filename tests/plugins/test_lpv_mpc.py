@@ -1,22 +1,15 @@
 """The authors' joint MPC: its model is their plant's to first order, its contract, and what its preview error costs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 from benchmarks.joint_mpc import joint_law, load_test, rms_errors, separate_law
 
+import adaptrack as at
 import lpv_mpc
-from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import check_controller, get_controller
-from adaptrack.drive.simulate import simulate
-from adaptrack.scenario import load_scenario
 
-CAR = load_vehicle("paper")
+CAR = at.load_vehicle("paper")
 PLANT = lpv_mpc.AuthorsCar()
 MOVING = np.array([15.0, 0.02, 0.01, 0.03, 0.01])
 
@@ -79,20 +72,21 @@ def test_on_their_plant_the_corrected_preview_and_learning_beat_what_is_publishe
 
 @pytest.mark.parametrize("name", ["lpv-mpc", "lpv-mpc-corrected"])
 def test_it_keeps_the_contract_of_controllers(name):
-    check_controller(get_controller(name, CAR, profile="paper"))
+    at.check_controller(at.get_controller(name, CAR, profile="paper"))
 
 
 def test_it_steers_the_dual_track_through_their_double_lane_change():
-    controller = get_controller("lpv-mpc-corrected", CAR)
-    run = simulate(DualTrack(CAR), controller, load_scenario("accelerating-double-lane-change"), profile="paper")
+    controller = at.get_controller("lpv-mpc-corrected", CAR)
+    run = at.simulate(
+        at.DualTrack(CAR), controller, at.load_scenario("accelerating-double-lane-change"), profile="paper"
+    )
     assert run.failed is None
     assert np.abs(run.error).max() < 0.02
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [("horizon", 0), ("horizon", 61), ("move_weights", (0.0, 1.0)), ("period", math.nan), ("stiffness", (0.0, 1.0))],
-)
+@pytest.mark.parametrize(("option", "value"), [
+    ("horizon", 0), ("horizon", 61), ("move_weights", (0.0, 1.0)), ("period", math.nan), ("stiffness", (0.0, 1.0)),
+])  # fmt: skip
 def test_nonsense_is_refused(option, value):
-    with pytest.raises(InvalidInput, match=r"LPVMPC|period"):
+    with pytest.raises(at.InvalidInput, match=r"LPVMPC|period"):
         lpv_mpc.LPVMPC(CAR, **{option: value})

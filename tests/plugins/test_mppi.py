@@ -7,26 +7,20 @@ import math
 import numpy as np
 import pytest
 
+import adaptrack as at
 import mppi
 import mppi_kernel as kernel
-from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
-from adaptrack.control.controllers import check_controller, get_controller
-from adaptrack.control.controllers.limits import Limits
-from adaptrack.drive.simulate import rollout, simulate
-from adaptrack.road import Arc, Line, Road
-from adaptrack.scenario import RoadDrive, load_scenario
+from adaptrack.road import Arc, Line
 from mppi import MPPI
 
 pytestmark = pytest.mark.slow
 
-CAR = load_vehicle("paper")
-LANE_CHANGE = load_scenario("lane-change", amplitude=2.0, speed=10.0, friction=0.9, duration=3.0)
-HAIRPIN = Road.from_segments(
+CAR = at.load_vehicle("paper")
+LANE_CHANGE = at.load_scenario("lane-change", amplitude=2.0, speed=10.0, friction=0.9, duration=3.0)
+HAIRPIN = at.Road.from_segments(
     [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=40.0)], name="hairpin"
 )
-WIDE = Limits(move=(-1.0, 1.0), angle=(-1.5, 1.5))
+WIDE = at.Limits(move=(-1.0, 1.0), angle=(-1.5, 1.5))
 SMALL = {"samples": 64, "horizon": 0.5}
 step_of, moved = kernel.step_of, kernel.moved
 
@@ -45,7 +39,7 @@ def states_under(controller: MPPI, state: kernel.State, commands: list[float], s
 def test_the_model_is_the_single_track_on_its_tyre(tyre):
     """Against the plant's right-hand side in steps of 0.1 ms; on the linear tyre halving a step quarters the error."""
     calm = CAR.replace(side_force_slope=0.0, yaw_moment_slope=0.0)
-    plant, speed, command = SingleTrack(calm, load_tyre(tyre)), 18.0, 0.06
+    plant, speed, command = at.SingleTrack(calm, at.load_tyre(tyre)), 18.0, 0.06
     x, h, u, environment = (
         np.array([0.0, 0.2, 0.05, speed, 0.1, 0.05]), 1e-4, [command, 0.0, 0.0], [1.0] * 4 + [0.0] * 3,
     )  # fmt: skip
@@ -63,7 +57,7 @@ def test_the_model_is_the_single_track_on_its_tyre(tyre):
 
 
 def test_the_wheels_follow_as_a_first_order_lag_within_its_rate():
-    slow = MPPI(CAR, profile="paper", belief=Steering(lag=0.2, dead_time=0.0, rate=0.5), period=0.05, **SMALL)
+    slow = MPPI(CAR, profile="paper", belief=at.Steering(lag=0.2, dead_time=0.0, rate=0.5), period=0.05, **SMALL)
     straight = kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     near = [s.wheels for s in states_under(slow, straight, [0.05] * 10, 10.0)]
     np.testing.assert_allclose(near, 0.05 * (1.0 - np.exp(-0.05 * np.arange(1, 11) / 0.2)), rtol=1e-12)
@@ -108,8 +102,8 @@ def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
 
 def test_commands_on_their_way_are_driven_through_by_the_model():
     """Two periods late is where a car without dead time is two periods on."""
-    late = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.2), preview=True, **SMALL)
-    prompt = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.0), preview=True, **SMALL)
+    late = MPPI(CAR, profile="paper", belief=at.Steering(lag=0.1, dead_time=0.2), preview=True, **SMALL)
+    prompt = MPPI(CAR, profile="paper", belief=at.Steering(lag=0.1, dead_time=0.0), preview=True, **SMALL)
     speed, (vy, yaw, rate, y) = 15.0, (0.05, 0.02, 0.03, 0.4)
     after = states_under(prompt, kernel.State(0.0, y, yaw, vy, rate, 0.0), [0.0, 0.0], speed)[-1]
     angle = late.step([vy, yaw, rate, y], speed, np.zeros(40)).angle
@@ -122,14 +116,17 @@ def test_commands_on_their_way_are_driven_through_by_the_model():
 @pytest.mark.parametrize("profile", ["paper", "road", "production"])
 @pytest.mark.parametrize("car", ["paper", "van"])
 def test_it_keeps_the_contract_of_controllers(car, profile):
-    check_controller(MPPI(load_vehicle(car), profile=profile, rounds=2, **SMALL))
+    at.check_controller(MPPI(at.load_vehicle(car), profile=profile, rounds=2, **SMALL))
 
 
 def test_it_drives_alike_from_python_and_compiled_and_the_same_with_the_same_seed():
     runs = [
-        simulate(DualTrack(CAR), MPPI(CAR, profile="road", seed=seed), LANE_CHANGE, profile="road") for seed in (5, 6)
+        at.simulate(at.DualTrack(CAR), MPPI(CAR, profile="road", seed=seed), LANE_CHANGE, profile="road")
+        for seed in (5, 6)
     ]
-    again = rollout(DualTrack(CAR), get_controller("mppi", CAR, profile="road", seed=5), LANE_CHANGE, profile="road")
+    again = at.rollout(
+        at.DualTrack(CAR), at.get_controller("mppi", CAR, profile="road", seed=5), LANE_CHANGE, profile="road"
+    )
     assert np.array_equal(runs[0].command, again.command)
     assert np.array_equal(runs[0].Y, again.Y)
     assert not np.array_equal(runs[0].command, runs[1].command)
@@ -138,7 +135,7 @@ def test_it_drives_alike_from_python_and_compiled_and_the_same_with_the_same_see
 @pytest.mark.parametrize("profile", ["paper", "road"])
 def test_it_follows_a_hairpin(profile):
     controller = MPPI(CAR, profile=profile, period=0.05, preview=True)
-    run = rollout(DualTrack(CAR), controller, RoadDrive(HAIRPIN, 6.0), profile=profile)
+    run = at.rollout(at.DualTrack(CAR), controller, at.RoadDrive(HAIRPIN, 6.0), profile=profile)
     assert run.failed is None
     assert np.abs(run.error).max() < 0.3
 
@@ -156,12 +153,12 @@ def test_a_situation_that_is_not_finite_leaves_the_plan_as_it_is():
     ("option", "value"), [("samples", 100), ("horizon", 0.01), ("rounds", 0), ("friction", 0.0), ("temperature", -1.0)]
 )
 def test_nonsense_is_refused_by_name(option, value):
-    with pytest.raises(InvalidInput, match=option):
+    with pytest.raises(at.InvalidInput, match=option):
         MPPI(CAR, **{option: value})
 
 
 def test_without_a_compiler_the_remedy_is_named(monkeypatch):
     mppi._compiled_law.cache_clear()
     monkeypatch.setattr(mppi, "compiles", lambda: False)
-    with pytest.raises(MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):
+    with pytest.raises(at.MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):
         MPPI(CAR)

@@ -100,14 +100,18 @@ def _put(content: bytearray, kind: str, place: int, rng: np.random.Generator) ->
 
 # -- what drives ------------------------------------------------------------------------------------------------------
 class Library:
-    """An export, linked into a shared library of this process, with a path and what was measured along it."""
+    """An export, linked into a shared library of this process, with a path and what was measured along it.
 
-    def __init__(self, controller: Controller, folder: Path) -> None:
+    compiled: gives the objects of the C sources in a folder; without it they are compiled here.
+    """
+
+    def __init__(self, controller: Controller, folder: Path, compiled: Callable[[Path], Any] | None = None) -> None:
         export_c(controller, folder)
         self.controller = controller
         self.constants = (folder / "constants.bin").read_bytes()
         program = folder / "tracker.so"
-        sources = [*sorted((folder / "src").glob("*.c")), folder / "main.c"]
+        parts = sorted((folder / "src").glob("*.c")) if compiled is None else compiled(folder)
+        sources = [*parts, folder / "main.c"]
         includes = [f"-I{folder}/include", f"-I{folder}"]
         words = ["-shared", "-fPIC", "-O1", *EXACT_OPTIONS, *includes, *map(str, sources), "-o", str(program)]
         run = subprocess.run(["cc", *words], capture_output=True, text=True)
@@ -212,12 +216,12 @@ STRONG = (-37.0, 1e-3, 1e3)
 """Factors on a constant: one that changes no answer under any that is accepted is not read in this configuration."""
 
 
-def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
-    """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason."""
+def unnoticed(library: Library, every: int = 1) -> tuple[int, dict[str, str]]:
+    """Check every so many constants: how many, and those that may change by 1 % unnoticed, each with the reason."""
     misses, count = {}, 0
     memory = tracking_memory(library.controller)
     numbers = [(f"{name} {number.name}", number) for name, part in memory.numbers.items() for number in part]
-    for word, (name, number) in enumerate(numbers, FILE_HEAD.size // 8):
+    for word, (name, number) in list(enumerate(numbers, FILE_HEAD.size // 8))[::every]:
         (value,) = struct.unpack_from("<d", memory.content, 8 * word)
         if number.bounds.rule == "EXACT" or value == 0.0 or not math.isfinite(value):
             continue
