@@ -201,8 +201,8 @@ def unchecked(path: Path) -> list[str]:
             parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
             annotations = [argument.annotation for argument in parameters]
         elif isinstance(node, ast.ClassDef) and not any(
-            names_in(base) & {"Record", "Regressor"}
-            for base in node.bases  # which checks them when it is trained
+            names_in(base) & {"Record", "RecordSettings", "Regressor"}
+            for base in node.bases  # which check them when they are made or trained
         ):
             annotations = [line.annotation for line in node.body if isinstance(line, ast.AnnAssign)]
         else:

@@ -28,7 +28,7 @@ CALM = (20.0, 5.0, 1.0, 10.0)
 
 
 def _drawn(case: Case, rng: Rng, steps: int) -> tuple[Array, Array, Array, Array, Any]:
-    """States (k, 9), speeds (k,), references (k, .), tunings (k, 4), whether all is good (k,)."""
+    """States (k, 10), speeds (k,), references (k, .), tunings (k, 4), whether all is good (k,)."""
     bad = inputs.bursts(rng, steps, inputs.choose(rng, (0.0, 0.1, 0.4)))
     share = inputs.choose(rng, (0.03, 0.2, 0.8))
     states, speeds, references = inputs.measured(rng, steps), inputs.paces(rng, steps), inputs.references(rng, steps)

@@ -88,8 +88,8 @@ def mpc_case(rng: Rng) -> Case:
 
 
 def measured(rng: Rng, steps: int) -> Array:
-    """(steps, 9) good samples, as `MPC.step` takes them; a tenth of the drives wide, another with a sensor stuck."""
-    states = np.zeros((steps, 9))
+    """(steps, 10) good samples, as `MPC.step` takes them; a tenth of the drives wide, another with a sensor stuck."""
+    states = np.zeros((steps, 10))
     kind = rng.random()
     states[:, :6] = rng.normal(size=(steps, 6)) * SENSORS
     if kind < 0.1:
@@ -98,6 +98,7 @@ def measured(rng: Rng, steps: int) -> Array:
         states[:, choose(rng, (0, 2, 4, 5))] = rng.normal()  # a position that is stuck is rightly not believed
     states[:, 6:8] = rng.uniform(0.0, 0.1, size=(steps, 2)) * (rng.random() < 0.5)
     states[:, 8] = rng.normal(size=steps) * 0.005
+    states[:, 9] = rng.uniform(0.1, 1.2) * (rng.random() < 0.5)  # the friction, where it is known
     return states
 
 
