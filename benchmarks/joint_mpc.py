@@ -84,7 +84,7 @@ def joint_law(test: Test, stiffness: tuple[float, float], corrected: bool) -> La
 
 
 def separate_law(test: Test, stiffness: tuple[float, float], learns: bool) -> Law:
-    """Our MPC and our speed control, which know that steering, drive and brakes follow at once."""
+    """Our MPC and our speed control, which know that all actuators follow at once and that the tyres are linear."""
     front, rear = (0.5 * value for value in stiffness)
     car: Vehicle = load_vehicle("paper").replace(stiffness_front=front, stiffness_rear=rear)
     options: dict[str, Any] = {"belief": Steering(lag=0.0, dead_time=0.0), "learning": None}
@@ -96,6 +96,7 @@ def separate_law(test: Test, stiffness: tuple[float, float], learns: bool) -> La
     pedals = DriveActuator(lag=0.0, dead_time=0.0), BrakeActuator(lag=0.0, dead_time=0.0)
     pair = SpeedController(SpeedControl(car, drive=pedals[0], brakes=pedals[1]), road, plan, PERIOD)
     row, reference, last = np.zeros(len(MEASUREMENT)), np.zeros(AHEAD), np.zeros(2)
+    row[MEASUREMENT.friction] = np.inf  # linear tyres have no limit of grip
 
     def law(k: int, state: Any, side: float) -> Any:
         vx, vy, yaw_rate, offset, heading_error = state

@@ -120,7 +120,7 @@ def mpc_inputs(case: Case, rng: Rng, steps: int) -> list[Case]:
     states, speeds, ahead = measured(rng, steps), paces(rng, steps), references(rng, steps)
     for rows in (states, ahead, speeds):
         spoil(rng, rows, bad, share)
-    states = states[:, : int(choose(rng, (4, 4, 6, 8, 9)))]
+    states = states[:, : int(choose(rng, (4, 4, 6, 8, 9, 10)))]
     given: list[Case] = [
         {"state": state, "speed": speed, "reference": reference, "good": good}
         for state, speed, reference, good in zip(states, speeds.tolist(), ahead, (~bad).tolist(), strict=True)

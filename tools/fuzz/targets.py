@@ -35,7 +35,7 @@ CHECKED_EACH = 50
 """Solved steps between two whose residuals are computed anew, in NumPy."""
 SETTLED = 100
 """Good inputs in a row after which nothing of bad ones is left: 5 s at 20 Hz."""
-STATE_SIZES = (4, 5, 6, 7, 8, 9)
+STATE_SIZES = tuple(range(4, 11))
 
 
 class Target(Protocol):
