@@ -31,30 +31,30 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2270,
-    "core": 25570,
-    "cars": 2180,
-    "road": 4680,
-    "scenario": 1880,
-    "control": 7570,
+    "core": 25660,
+    "cars": 2160,
+    "road": 4630,
+    "scenario": 1850,
+    "control": 7240,
     "drive": 2960,
     "analysis": 1950,
-    "identification": 5130,
-    "tuning": 1650,
+    "identification": 5050,
+    "tuning": 1630,
     "comparison": 2110,
     "paper": 4250,
     "export": 3230,
     "gym": 1320,
-    "results": 5220,
+    "results": 4750,
     "cli": 3400,
     "adaptrack": 40,
-    "JavaScript, templates, C": 9680,
-    "tests": 42460,
-    "benchmarks, tools, experiments, examples": 15310,
+    "JavaScript, templates, C": 9770,
+    "tests": 42130,
+    "benchmarks, tools, experiments, examples": 15390,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 75_350
+SOURCE_LINES = 74_430
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 
