@@ -106,14 +106,15 @@ def test_other_versions_tables_and_folders_are_refused_with_the_remedy(tmp_path,
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(monkeypatch, tmp_path):
-    wild().save(tmp_path / "paper-grid.parquet")
-    monkeypatch.setattr(module, "_DATA", tmp_path)
+    (tmp_path / "datasets").mkdir()
+    wild().save(tmp_path / "datasets" / "paper-grid.parquet")
+    monkeypatch.setattr(files, "SHIPPED", tmp_path)
     assert list_datasets() == ["paper-grid"]
     assert load_dataset("paper-grid").name == "wild"
-    with pytest.raises(UnknownName, match=r"no data set is named 'paper_grid'\. Did you mean 'paper-grid'"):
+    with pytest.raises(UnknownName, match=r"no dataset is named 'paper_grid'\. Did you mean 'paper-grid'"):
         load_dataset("paper_grid")
     for nonsense in ("x" * 10_000, "[red]", "a\0b"):
-        with pytest.raises(UnknownName, match="no data set is named"):
+        with pytest.raises(UnknownName, match="no dataset is named"):
             load_dataset(nonsense)
 
 

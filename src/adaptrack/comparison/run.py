@@ -28,7 +28,7 @@ from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.plant import Plant, SteppedPlant, fingerprint, twin_of
-from adaptrack.comparison.compare import check_fits
+from adaptrack.comparison.compare import RUN, Contender, as_column, check_fits, measure_runs
 from adaptrack.comparison.config import (
     Cell,
     ComparisonConfig,
@@ -38,10 +38,8 @@ from adaptrack.comparison.config import (
     load_drive,
     load_setting,
 )
-from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entry_speed import LaneChangeTest, entry_speed
 from adaptrack.comparison.lane_change import iso_3888_2
-from adaptrack.comparison.measures import RUN, as_column, measure_runs
 from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.control.controllers import MPC, About, Controller
 from adaptrack.control.estimation import Perception
