@@ -5,7 +5,7 @@ A belief consists of the steering parameters that an MPC assumes, or of the quan
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals, whole_number
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.control.controllers import MPC, Controller, Learning, published_mpc
+from adaptrack.control.controllers import MPC, Controller, get_controller
 from adaptrack.core.public import BELIEF_NAMES, drive_on, portable, write_variables
 from adaptrack.core.public import LEARNED as BELIEFS_OFFSET
 from adaptrack.drive.batch import Batch
@@ -56,12 +56,10 @@ def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MP
     UnknownName
         When there is no such controller.
     """
-    arguments: dict[str, Any] = {"period": profile.period, "preview": True, "scheduler": scheduler}
-    if kind == "as-written":
-        return published_mpc(vehicle, **arguments)
     if kind not in ENVIRONMENT_CONTROLLERS:
         raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, ENVIRONMENT_CONTROLLERS)}")
-    return MPC(vehicle, profile=profile, learning=Learning() if kind == "informed-learning" else None, **arguments)
+    optional = {"period": profile.period, "preview": True, "scheduler": scheduler}
+    return cast(MPC, get_controller(kind, vehicle, profile=profile, optional=optional))
 
 
 class Tunings:
