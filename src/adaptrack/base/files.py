@@ -463,6 +463,20 @@ def write_json(path: str | os.PathLike[str], data: Any) -> None:
     write_atomically(path, (json.dumps(data, indent=1) + "\n").encode())
 
 
+def make_folder(path: Path) -> None:
+    """Create a folder unless it exists.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be created: {_reason(error)}.") from error
+
+
 def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_links: bool = True) -> None:
     """Write a temporary file in the folder of `path`, then rename it to `path` in one step.
 

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
+from adaptrack.base import files
 from adaptrack.base.errors import InvalidInput, MissingExtra, StorageError
-from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_name, write_atomically, write_json
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.plant import Plant, SteppedPlant, fingerprint, twin_of
@@ -286,9 +286,11 @@ class Compared:
         StorageError
             When the file cannot be written.
         """
-        columns = [ParquetColumn(name, MEASURE_UNITS.get(name, "-"), values) for name, values in self.columns.items()]
+        columns = [
+            files.ParquetColumn(name, MEASURE_UNITS.get(name, "-"), values) for name, values in self.columns.items()
+        ]
         metadata = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
-        write_atomically(path, encode_parquet(COMPARISON_FORMAT, COMPARISON_VERSION, columns, metadata))
+        files.write_atomically(path, files.encode_parquet(COMPARISON_FORMAT, COMPARISON_VERSION, columns, metadata))
 
 
 def run_comparison(
@@ -336,24 +338,21 @@ class _CellFile:
     def of(cls, task: ComparisonConfig, folder: Path, cell: Cell) -> _CellFile:
         software = {"adaptrack": __version__, "kernels": kernels_hash(), "numpy": np.__version__}
         text = json.dumps([_cell_settings(task, cell), software], sort_keys=True)
-        path = folder / "cells" / f"{safe_name(cell.label)}.json"
+        path = folder / "cells" / f"{files.safe_name(cell.label)}.json"
         return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     def load(self) -> dict[str, Any] | None:
         """Return the stored result, or None if there is no file or its hash differs."""
         if not self.path.exists():
             return None
-        content = read_json(self.path)
+        content = files.read_json(self.path)
         if not isinstance(content, Mapping) or set(content) != {"identity", "result"}:
             raise StorageError(f"{self.path}: not the file of a cell. Remove it to continue.")
         return content["result"] if content["identity"] == self.identity else None
 
     def save(self, result: dict[str, Any]) -> None:
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StorageError(f"{self.path.parent}: cannot be made: {error.strerror or error}.") from error
-        write_json(self.path, {"identity": self.identity, "result": result})
+        files.make_folder(self.path.parent)
+        files.write_json(self.path, {"identity": self.identity, "result": result})
 
 
 def _cell_settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
