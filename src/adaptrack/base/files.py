@@ -784,8 +784,8 @@ def _walk(model_class: type[BaseModel], location: tuple[int | str, ...]) -> tupl
     field: FieldInfo | None = None
     field_names: list[str] = []
     for part in location:
-        field_names = [name for model in models for name in _field_names(model)]
-        fields = [_field_names(model)[part] for model in models if part in _field_names(model)]
+        field_names = [name for model in models for name in model.model_fields]
+        fields = [model.model_fields[part] for model in models if part in model.model_fields]
         if fields:
             field = fields[0]
             models = [inner for model_field in fields for inner in _models_in(model_field.annotation)]
@@ -796,10 +796,6 @@ def _walk(model_class: type[BaseModel], location: tuple[int | str, ...]) -> tupl
             models = tagged or models
             field = None
     return field, field_names
-
-
-def _field_names(model: type[BaseModel]) -> dict[Any, FieldInfo]:
-    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _literals(model: type[BaseModel]) -> set[Any]:

@@ -294,7 +294,7 @@ class CampaignPlan:
         rows, library = config.operating_points.rows(), config.library.rows(config.search)
         check_limit("landscape", len(rows) * len(library), LANDSCAPE_COSTS)
         numbers = np.arange(len(rows))
-        twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
+        twins = fold(rows) if config.mirror else Fold(numbers, numbers)
         setup = Setup(config, vehicle, tyre)
         setup.plant()  # one that is not known, or none of this car, is refused before any work
         return cls(setup, rows, twins, library)
