@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
@@ -41,15 +42,13 @@ class Contender:
         For an empty name or an invalid policy.
     """
 
-    name: str
+    name: Annotated[str, Field(min_length=1)]
     policy: PolicyArgument
     """Schedule, tuning, tunings (runs, 4), or controller with `step`, `reset`, `period` and `name`."""
     hindsight: bool = False
     """Whether the policy was optimised for the very runs of the comparison."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise InvalidInput(f"Contender: name = {self.name!r}: must be text.")
         self.as_policy()
 
     def as_policy(self) -> Policy:

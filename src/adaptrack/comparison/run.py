@@ -316,43 +316,29 @@ def run_comparison(
     for number, cell in enumerate(task.cells):
         if progress is not None:
             progress(cell.label, number, len(task.cells))
-        file = None if out is None else _CellFile.of(task, Path(out), cell)
-        stored = None if file is None else file.load()
-        results[cell] = run_cell(task, cell) if stored is None else stored
-        if file is not None and stored is None:
-            file.save(results[cell])
+        results[cell] = run_cell(task, cell) if out is None else _resume_cell(task, Path(out), cell)
     compared = Compared(task, results)
     if out is not None:
         compared.save(Path(out) / RUNS_FILE)
     return compared
 
 
-@dataclass(frozen=True)
-class _CellFile:
-    """JSON file with the result of a cell and the hash of everything that the result depends on."""
-
-    path: Path
-    identity: str
-
-    @classmethod
-    def of(cls, task: ComparisonConfig, folder: Path, cell: Cell) -> _CellFile:
-        software = {"adaptrack": __version__, "kernels": kernels_hash(), "numpy": np.__version__}
-        text = json.dumps([_cell_settings(task, cell), software], sort_keys=True)
-        path = folder / "cells" / f"{files.safe_name(cell.label)}.json"
-        return cls(path, hashlib.sha256(text.encode()).hexdigest())
-
-    def load(self) -> dict[str, Any] | None:
-        """Return the stored result, or None if there is no file or its hash differs."""
-        if not self.path.exists():
-            return None
-        content = files.read_json(self.path)
+def _resume_cell(task: ComparisonConfig, folder: Path, cell: Cell) -> dict[str, Any]:
+    """Return the result of a cell that a folder contains for equal settings and software, or drive and store it."""
+    software = {"adaptrack": __version__, "kernels": kernels_hash(), "numpy": np.__version__}
+    text = json.dumps([_cell_settings(task, cell), software], sort_keys=True)
+    identity = hashlib.sha256(text.encode()).hexdigest()
+    file = folder / "cells" / f"{files.safe_name(cell.label)}.json"
+    if file.exists():
+        content = files.read_json(file)
         if not isinstance(content, Mapping) or set(content) != {"identity", "result"}:
-            raise StorageError(f"{self.path}: not the file of a cell. Remove it to continue.")
-        return content["result"] if content["identity"] == self.identity else None
-
-    def save(self, result: dict[str, Any]) -> None:
-        files.make_folder(self.path.parent)
-        files.write_json(self.path, {"identity": self.identity, "result": result})
+            raise StorageError(f"{file}: not the file of a cell. Remove it to continue.")
+        if content["identity"] == identity:
+            return dict(content["result"])
+    result = run_cell(task, cell)
+    files.make_folder(file.parent)
+    files.write_json(file, {"identity": identity, "result": result})
+    return result
 
 
 def _cell_settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
