@@ -46,7 +46,6 @@ from adaptrack.control.estimation import Perception
 from adaptrack.core.library import kernels_hash
 from adaptrack.drive.drivers import check_forces, make_driver
 from adaptrack.drive.speed_measures import SPEED_MEASURES
-from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive
 from adaptrack.tuning.constant import load_tuning, search_constant
 from adaptrack.tuning.pso import SwarmSettings, is_tunable
@@ -92,13 +91,7 @@ def _obstacle(car: str, profile: str) -> LaneChangeTest | None:
     if not isinstance(setting.plant, Plant):
         return None
     track = iso_3888_2(setting.car.outline.width)
-    return LaneChangeTest(setting.car, setting.plant, track, setting.profile, _roads=_shared_roads(car))
-
-
-@lru_cache(maxsize=16)
-def _shared_roads(car: str) -> dict[float, Road]:
-    """Return a cache of the roads through the track by entry speed (m/s), which all profiles of a car share."""
-    return {}
+    return LaneChangeTest(setting.car, setting.plant, track, setting.profile)
 
 
 def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
