@@ -464,13 +464,7 @@ def write_json(path: str | os.PathLike[str], data: Any) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder unless it exists.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be created.
-    """
+    """Create a folder unless it exists; raises `StorageError` when that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
