@@ -6,7 +6,7 @@ import numpy as np
 
 from adaptrack.paper.campaign_config import CampaignConfig
 from adaptrack.paper.data_set import DataSet
-from adaptrack.paper.operating_points import grid
+from adaptrack.paper.operating_points import Grid
 
 LEVELS = {"speed": (4.0, 9.0, 15.0, 22.0), "y_ref": (-9.0, 2.0, 12.0), "friction": (0.5, 0.9),
           "wind": (-20.0, 5.0, 30.0)}  # fmt: skip
@@ -27,7 +27,7 @@ def plain(conditions, **arrays) -> DataSet:
 
 def small(**changes) -> DataSet:
     """72 conditions on a grid; the second tuning of the library is the best on average, the first the paper's."""
-    conditions = grid(**LEVELS)
+    conditions = Grid(**LEVELS).rows()
     speed, y_ref, friction, wind = conditions.T
     costs, entries = 0.1 + 0.01 * speed, (20 + speed, 4 + 4 * friction, 4.0 + 0.2 * y_ref, 0.03 + 0.001 * wind)
     landscape = costs[:, np.newaxis] * np.array([4.0, 1.1, 1.5, 2.0])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptrack.control.scheduling import Network, StabilityMap, Sugeno, Table
+from adaptrack.control.scheduling import Network, Number, StabilityMap, Sugeno, Table
 from adaptrack.control.scheduling.functions import ANY
+from adaptrack.paper.surfaces import Surface
 
 
 def random_network(rng, inputs, relu=True):
@@ -52,3 +54,19 @@ def stability_map(radius):
     """A map whose value at a node is radius(speed, friction, Np, Nc, log10 R/Q)."""
     axes = tuple(np.array(axis, float) for axis in ((0, 10, 20), (0.3, 0.9), (10, 30, 60), (1, 20), (-3, 0, 3)))
     return StabilityMap(Table(axes, np.vectorize(radius)(*np.meshgrid(*axes, indexing="ij"))), limit=0.99)
+
+
+@dataclass(frozen=True)
+class Level(Surface):
+    """A surface with one value everywhere."""
+
+    value: float
+
+    def fit(self, x, target, weight, effort=1.0):
+        return replace(self, value=float(np.average(target, weights=weight)))
+
+    def average(self, surfaces):
+        return replace(self, value=float(np.mean([self.value, *(surface.value for surface in surfaces)])))
+
+    def function(self):
+        return Number(self.value)

@@ -9,8 +9,7 @@ import pytest
 import adaptrack as at
 from adaptrack.base.result import strict
 from adaptrack.base.statistics import BOOTSTRAP_RESAMPLES
-from adaptrack.comparison.compare import compare
-from adaptrack.comparison.contenders import Contender
+from adaptrack.comparison.compare import Contender, compare
 from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.core.scheduling import guard
 from adaptrack.tuning.objective import Objective

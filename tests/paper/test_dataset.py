@@ -8,11 +8,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from adaptrack.base import files
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.paper import data_set as module
 from adaptrack.paper.campaign_config import CampaignPlan, load_campaign
 from adaptrack.paper.data_set import SUMMARY_TARGETS, DataSet, describe, flatness, list_datasets, load_dataset
-from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
+from adaptrack.paper.operating_points import Grid, fold, mirrored, sobol
 from adaptrack.results import dataset as pictures
 from adaptrack.results.dataset import dataset_result
 from adaptrack.results.page import write_result
@@ -106,14 +107,15 @@ def test_other_versions_tables_and_folders_are_refused_with_the_remedy(tmp_path,
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(monkeypatch, tmp_path):
-    wild().save(tmp_path / "paper-grid.parquet")
-    monkeypatch.setattr(module, "_DATA", tmp_path)
+    (tmp_path / "datasets").mkdir()
+    wild().save(tmp_path / "datasets" / "paper-grid.parquet")
+    monkeypatch.setattr(files, "SHIPPED", tmp_path)
     assert list_datasets() == ["paper-grid"]
     assert load_dataset("paper-grid").name == "wild"
-    with pytest.raises(UnknownName, match=r"no data set is named 'paper_grid'\. Did you mean 'paper-grid'"):
+    with pytest.raises(UnknownName, match=r"no dataset is named 'paper_grid'\. Did you mean 'paper-grid'"):
         load_dataset("paper_grid")
     for nonsense in ("x" * 10_000, "[red]", "a\0b"):
-        with pytest.raises(UnknownName, match="no data set is named"):
+        with pytest.raises(UnknownName, match="no dataset is named"):
             load_dataset(nonsense)
 
 
@@ -160,7 +162,7 @@ def test_a_split_is_the_same_every_time_another_for_another_seed_and_loses_nothi
 @pytest.mark.parametrize("seed", range(3))
 def test_twins_are_always_on_the_same_side_of_a_split(seed):
     # Also when the campaign computed both of them.
-    rows = grid(speed=[5.0, 10.0, 15.0], y_ref=[-4.0, 1.0, 4.0], friction=[0.5, 0.9], wind=[-6.0, 0.0, 6.0])
+    rows = Grid(speed=[5.0, 10.0, 15.0], y_ref=[-4.0, 1.0, 4.0], friction=[0.5, 0.9], wind=[-6.0, 0.0, 6.0]).rows()
     data = wild(len(rows), operating_points=rows)
     learn, holdout = data.split(0.3, seed)
     both = {tuple(row) for row in learn.operating_points} & {tuple(row) for row in mirrored(holdout.operating_points)}
@@ -221,7 +223,7 @@ def test_a_description_survives_operating_points_where_every_tuning_fails():
 
 # -- pages ------------------------------------------------------------------------------------------------------------
 def test_a_cell_of_a_map_is_the_median_of_its_operating_points():
-    points = grid(speed=(5.0, 10.0, 15.0), y_ref=(-4.0, 4.0, 8.0), friction=(0.5, 0.9), wind=(-10.0, 0.0, 10.0))
+    points = Grid(speed=(5.0, 10.0, 15.0), y_ref=(-4.0, 4.0, 8.0), friction=(0.5, 0.9), wind=(-10.0, 0.0, 10.0)).rows()
     data = wild(len(points), operating_points=points)
     (cells,) = panel_figure(pictures.optimum_maps(data)[3]).axes[0].collections
     members = (points[:, 0] == 10.0) & (points[:, 2] == 0.9)
@@ -230,7 +232,7 @@ def test_a_cell_of_a_map_is_the_median_of_its_operating_points():
 
 
 def test_a_gain_is_the_median_ratio_of_the_costs_in_each_bin():
-    points = grid(speed=(5.0, 10.0), y_ref=(4.0,), friction=(0.5, 0.9), wind=(0.0,))
+    points = Grid(speed=(5.0, 10.0), y_ref=(4.0,), friction=(0.5, 0.9), wind=(0.0,)).rows()
     data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 80.0, 80.0])
     line = panel_figure(pictures.gain_panel(data)).axes[0].lines[1]
     assert (list(line.get_xdata()), list(line.get_ydata())) == ([5.0, 10.0], [3.0, 80.0])

@@ -28,8 +28,9 @@ from adaptrack.paper.improvement import (
     improve,
     preferred_moves,
 )
-from adaptrack.paper.surfaces import FuzzySurface, Level, NetworkSurface
+from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.tuning.runs import RunSet
+from small_models import Level
 from small_runs import START, lane_changes, run_set
 
 FAILED_COST = RunSet.failure.distance**2

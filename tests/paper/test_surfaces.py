@@ -7,8 +7,8 @@ import pytest
 
 from adaptrack.control.scheduling import Number
 from adaptrack.paper import surfaces as module
-from adaptrack.paper.surfaces import FuzzySurface, Level, NetworkSurface
-from small_models import random_network
+from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
+from small_models import Level, random_network
 
 DOMAIN = np.array([[3.0, 30.0], [0.3, 1.0]])
 

@@ -8,7 +8,7 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.paper import ANFIS, MLP, TARGET_SLOTS, train
 from adaptrack.paper import training as module
-from adaptrack.paper.operating_points import POINT_NAMES, fold, grid, mirrored, sobol
+from adaptrack.paper.operating_points import POINT_NAMES, Grid, fold, mirrored, sobol
 from small_data import plain
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
@@ -80,7 +80,7 @@ def test_a_smooth_schedule_is_learned(dataset, trained):
 
 
 def test_no_twin_of_a_held_out_condition_is_trained_on(no_ceiling, monkeypatch):
-    dataset = tuned(grid(speed=[5, 15, 25], y_ref=[-8, -3, 3, 8], friction=[0.5, 0.9], wind=[-20, 0, 20]))
+    dataset = tuned(Grid(speed=[5, 15, 25], y_ref=[-8, -3, 3, 8], friction=[0.5, 0.9], wind=[-20, 0, 20]).rows())
     inputs = []
     fit = ANFIS.fit
     monkeypatch.setattr(ANFIS, "fit", lambda self, x, y: inputs.append(x) or fit(self, x, y))
@@ -95,7 +95,9 @@ def test_no_twin_of_a_held_out_condition_is_trained_on(no_ceiling, monkeypatch):
 
 
 def test_the_ceiling_has_not_seen_the_twins_of_what_it_predicts():
-    conditions = grid(speed=range(4, 29, 3), y_ref=[-8, -3, 3, 8], friction=[0.5, 0.9], wind=[-20, -10, 10, 20])
+    conditions = Grid(
+        speed=[*range(4, 29, 3)], y_ref=[-8, -3, 3, 8], friction=[0.5, 0.9], wind=[-20, -10, 10, 20]
+    ).rows()
     dataset = tuned(conditions, noise=50.0)  # the speed explains next to nothing: what a twin tells would be seen
     learned, holdout = dataset.split(0.3, 0)
     y, y_held = module.target(learned, "Np"), module.target(holdout, "Np")

@@ -129,7 +129,8 @@ def test_surfaces_show_the_learned_tuning_without_the_guard():
     guarded = Guarded(schedule(), Tuning(Np=50, Nc=2, Q=1.0, R=100.0), stability=nowhere_stable)
     assert guarded.batch([[15.0, 0.0, 0.7, 0.0]])[0, 0] == 50.0
     result = evaluation_result({"drives": VIEWS["drives"]}, {"nn": guarded})
-    Np, Nc, ratio = (describe_panel(panel) for panel in result.picture("surfaces").panels)
+    surfaces = next(picture for picture in result.pictures if picture.name == "surfaces")
+    Np, Nc, ratio = map(describe_panel, surfaces.panels)
     assert Np.endswith("over speed and reference change ahead: 15 to 40.")
     assert Nc.endswith("ahead: 4.")
     assert ratio.endswith("ahead: 3.5.")

@@ -463,6 +463,14 @@ def write_json(path: str | os.PathLike[str], data: Any) -> None:
     write_atomically(path, (json.dumps(data, indent=1) + "\n").encode())
 
 
+def make_folder(path: Path) -> None:
+    """Create a folder unless it exists; raises `StorageError` when that fails."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be created: {_reason(error)}.") from error
+
+
 def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_links: bool = True) -> None:
     """Write a temporary file in the folder of `path`, then rename it to `path` in one step.
 
@@ -770,8 +778,8 @@ def _walk(model_class: type[BaseModel], location: tuple[int | str, ...]) -> tupl
     field: FieldInfo | None = None
     field_names: list[str] = []
     for part in location:
-        field_names = [name for model in models for name in _field_names(model)]
-        fields = [_field_names(model)[part] for model in models if part in _field_names(model)]
+        field_names = [name for model in models for name in model.model_fields]
+        fields = [model.model_fields[part] for model in models if part in model.model_fields]
         if fields:
             field = fields[0]
             models = [inner for model_field in fields for inner in _models_in(model_field.annotation)]
@@ -782,10 +790,6 @@ def _walk(model_class: type[BaseModel], location: tuple[int | str, ...]) -> tupl
             models = tagged or models
             field = None
     return field, field_names
-
-
-def _field_names(model: type[BaseModel]) -> dict[Any, FieldInfo]:
-    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _literals(model: type[BaseModel]) -> set[Any]:

@@ -11,6 +11,8 @@ from typing import Any
 
 _DRAWING_MODULE = "adaptrack.results.notebook"
 """Drawing code, which is imported when it is first used."""
+UNPRINTABLE = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
+"""Categories of control, format, surrogate, private, unassigned and line-end characters."""
 
 
 def figure_of(value: Any, *arguments: Any) -> Any:
@@ -27,12 +29,7 @@ def printable(text: str, keep: str = "") -> str:
     r"""Return text in which unprintable characters, but those in `keep`, are replaced by escapes such as ``\x1b``."""
     if text.isprintable():
         return text
-    return "".join(c if c in keep or not _is_control(c) else ascii(c)[1:-1] for c in text)
-
-
-def _is_control(character: str) -> bool:
-    """Whether a character is unprintable: a control, format, surrogate, private, unassigned or line-end character."""
-    return unicodedata.category(character) in {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+    return "".join(ascii(c)[1:-1] if c not in keep and unicodedata.category(c) in UNPRINTABLE else c for c in text)
 
 
 def content_policy(scripts: Iterable[str], script_sources: str = "", *directives: str) -> str:

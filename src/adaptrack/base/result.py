@@ -151,10 +151,6 @@ class Result:
         """Return the table with this name."""
         return next(table for table in self.tables if table.name == name)
 
-    def picture(self, name: str) -> Picture:
-        """Return the picture with this name."""
-        return next(picture for picture in self.pictures if picture.name == name)
-
 
 def strict(value: Any) -> Any:
     """Return a value for strict JSON: numbers that are not finite become None, arrays and tuples become lists."""

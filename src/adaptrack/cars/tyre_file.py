@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, did_you_mean
-from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.base.files import finite_number, printable, read_bytes
 from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.maths import portable
@@ -275,12 +275,10 @@ class _Reader:
         if default is not None and self.entry(section, key) is None:
             return default
         entry = self.required(section, key)
-        text = re.sub("[dD]", "e", entry.text)
-        if not is_number(text):
-            raise self.refusal(f"{key} = {printable(entry.text)[:40]!r}: must be a number.", entry)
-        if not math.isfinite(float(text)):
-            raise self.refusal(f"{key} = {entry.text}: must be a finite number.", entry)
-        return float(text)
+        number = finite_number(re.sub("[dD]", "e", entry.text))
+        if number is None:
+            raise self.refusal(f"{key} = {printable(entry.text)[:40]!r}: must be a finite number.", entry)
+        return number
 
     def size(self, section: str, key: str, factor: float, span: tuple[float, float], unit: str) -> float:
         """A number in SI that is within what tyres have: else the unit is wrong."""

@@ -8,7 +8,6 @@ and ``load_rear_N`` of the axle. A force may be left empty where an axle was not
 from __future__ import annotations
 
 import csv
-import math
 import os
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import is_number, printable, read_bytes, table_lines
+from adaptrack.base.files import finite_number, printable, read_bytes, table_lines
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
@@ -276,8 +275,8 @@ def _columns(where: str) -> dict[str, Array]:
 
 
 def _number(source: str, line: int, column: str, cell: str) -> float:
-    value = float(cell) if is_number(cell) else math.nan
-    if not math.isfinite(value):
+    value = finite_number(cell)
+    if value is None:
         raise ConfigError(f"{source}, line {line}: {column} = {printable(cell)[:40]!r}: must be a finite number.")
     return value
 

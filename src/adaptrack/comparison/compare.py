@@ -8,20 +8,63 @@ with noise seeds that the search did not use.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.outline import Outline
-from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.measures import as_cells, measure_runs
 from adaptrack.comparison.table import Comparison, ContenderRole, check_names
+from adaptrack.control.controllers.base import Policy
+from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
+from adaptrack.drive.speed_measures import speed_measures
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.drive.world import World
+from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.runs import RunSet
+from adaptrack.tuning.runs import PolicyArgument, RunSet, policy_of
+
+
+# -- contenders -------------------------------------------------------------------------------------------------------
+@checked
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A policy with the name under which it is compared.
+
+    Raises
+    ------
+    InvalidInput
+        For an empty name or an invalid policy.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    policy: PolicyArgument
+    """Schedule, tuning, tunings (runs, 4), or controller with `step`, `reset`, `period` and `name`."""
+    hindsight: bool = False
+    """Whether the policy was optimised for the very runs of the comparison."""
+
+    def __post_init__(self) -> None:
+        self.as_policy()
+
+    def as_policy(self) -> Policy:
+        """Return the record of the policy."""
+        return policy_of(self.policy, f"contender {self.name!r}")
+
+    @property
+    def controller(self) -> str:
+        """The name of the controller; "mpc" if the policy is a schedule or tuning for the MPC of the runs."""
+        controller = self.as_policy().controller
+        return "mpc" if controller is None else str(controller.name)
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the tuning changes between or during runs, without `hindsight`."""
+        return not self.hindsight and self.as_policy().adapts
 
 
 def compare(
@@ -45,7 +88,7 @@ def compare(
     progress
         Function called with (contender, contenders done, contenders in all).
     outline
-        Outline of the car. With it all measures of `measures.RUN` are computed, which takes longer; without it only
+        Outline of the car. With it all measures of `RUN` are computed, which takes longer; without it only
         costs and failures. Intervals resample the runs. With an outline and a single run they resample its noise seeds
         and apply to that run only.
 
@@ -109,3 +152,57 @@ def _costs(
 def _controller(contender: Contender, runs: RunSet) -> str:
     """Return the name of the contender's controller, or of the MPC of the runs that it tunes."""
     return runs.controller if contender.as_policy().controller is None else contender.controller
+
+
+# -- measures of runs -------------------------------------------------------------------------------------------------
+RUN = {
+    "rms_error": "rms_error", "p95_error": "p95_error", "max_error": "max_abs_error", "max_corner": "max_corner_error",
+    "steering_rate": "steering_rate_rms", "acceleration": "lateral_acceleration_r79", "jerk": "jerk_r79",
+    "duration": "duration",
+}  # fmt: skip
+"""Measures of a run up to its end or failure, with the name of each in `Metrics` and `path_metrics`.
+
+Units in this order: m, m, m, m, rad/s, m/s^2, m/s^3, s.
+"""
+
+
+def measure_runs(
+    runs: RunSet, policy: PolicyArgument, seeds: Sequence[int], outline: Outline, *, with_driver: bool = False
+) -> list[list[dict[str, Any]]]:
+    """Drive every run with every noise seed, as `RunSet.trajectories` does, and return all measures.
+
+    These are for each run and seed `cost` (m^2), `failed`, `reason`, `failed_at` (s) and the measures of `RUN`; None
+    for a measure that does not exist. outline: of the car, whose corners are measured; with_driver: whether to add
+    `speed_measures`, which need drives along roads.
+    """
+    return [
+        [_run_measures(run, runs, outline, drive if with_driver else None) for run in road]
+        for drive, road in zip(runs.scenarios, runs.trajectories(policy, seeds), strict=True)
+    ]
+
+
+def _run_measures(
+    run: Trajectory, runs: RunSet, outline: Outline, drive: Scenario | RoadDrive | None
+) -> dict[str, Any]:
+    metrics, record = compute_metrics(run, failure=runs.failure), PathRecord.from_trajectory(run)
+    path = None if record is None else path_metrics(record, outline).as_row()
+    return {
+        "cost": runs.failed_cost if metrics.failed else metrics.cost,
+        "failed": metrics.failed,
+        "reason": metrics.failed_reason or "",
+        "failed_at": float(metrics.failed_at) if metrics.failed else None,
+        **{name: None if path is None else path[key] for name, key in RUN.items()},
+        **(speed_measures(run, drive.road, drive.plan) if isinstance(drive, RoadDrive) else {}),
+    }
+
+
+def as_cells(rows: Sequence[Sequence[dict[str, Any]]]) -> dict[str, NDArray[Any]]:
+    """Return the result of `measure_runs` as an array (runs, seeds) for each measure, with NaN for None."""
+    return {name: as_column([row[name] for road in rows for row in road]).reshape(len(rows), -1) for name in rows[0][0]}
+
+
+def as_column(values: Sequence[Any]) -> NDArray[Any]:
+    """Return values as an array of text, or of numbers with NaN for None."""
+    if isinstance(values[0], str):
+        return np.array(values)
+    return np.array([np.nan if value is None else value for value in values], dtype=float)

@@ -7,15 +7,14 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import LISTED, Record, build, read_toml
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
-from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.cars.vehicle import Vehicle, find_data, list_data, load_vehicle
 from adaptrack.comparison.table import WITH
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
 from adaptrack.drive.drivers import make_driver
@@ -27,7 +26,6 @@ from adaptrack.scenario.library import list_scenarios
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.constant import MIN_TUNINGS, load_tuning
 
-COMPARISONS = SHIPPED / "comparisons"
 PERIODS_PER_DRIVE = 1500
 """Assumed number of control periods of a drive, for estimates of the computation time."""
 
@@ -190,10 +188,8 @@ class Cell:
 
 def list_comparisons() -> dict[str, str]:
     """Return the first comment line of each shipped comparison, by name."""
-    return {
-        path.stem: path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
-        for path in sorted(COMPARISONS.glob("*.toml"))
-    }
+    files = {name: find_data("comparisons", name) for name in list_data("comparisons")}
+    return {name: file.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") for name, file in files.items()}
 
 
 def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> ComparisonConfig:
@@ -202,7 +198,7 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Com
     Parameters
     ----------
     name_or_path
-        Name, or path that ends in .toml.
+        Name, or path of a file.
     changes
         Fields of `ComparisonConfig` that replace those of the file.
 
@@ -215,16 +211,7 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Com
     ConfigError
         For an unknown key, a missing key or an invalid value.
     """
-    text = os.fspath(name_or_path)
-    if text.endswith(".toml"):
-        path = Path(text)
-    elif text in list_comparisons():
-        path = COMPARISONS / f"{text}.toml"
-    else:
-        raise UnknownName(
-            f"no comparison is named {text!r}. {did_you_mean(text, list_comparisons())} The path of a file must end in "
-            ".toml."
-        )
+    path = find_data("comparisons", name_or_path)
     return build(ComparisonConfig, {"name": path.stem, **read_toml(path), **changes}, path)
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,15 +83,10 @@ class LaneChangeTest:
     profile: Profile
     friction: float = 0.9
     """Friction coefficient of the road."""
-    _roads: dict[float, Road] = field(default_factory=dict, repr=False)
-    """Roads through the track, by entry speed (m/s)."""
 
     def entering_at(self, speed: float) -> RoadDrive:
         """Return the drive through the track with an entry speed (m/s)."""
-        if speed not in self._roads:
-            road = driven_line(self.track, self.car, speed, self.friction)
-            self._roads[speed] = road.replace(friction=self.friction)
-        road = self._roads[speed]
+        road = _driven_road(self.track, self.car, speed, self.friction)
         return RoadDrive(road, coasting_plan(self.track, road, self.car, speed))
 
     def drive(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> Array:
@@ -113,6 +109,12 @@ class LaneChangeTest:
             margins = [clearance(self.track, self.car.outline, *poses.T) for poses in runs]
             worst.append(min(margins, key=lambda margin: margin.least))
         return worst
+
+
+@lru_cache(maxsize=512)
+def _driven_road(track: Track, car: Vehicle, speed: float, friction: float) -> Road:
+    """Return the road along `driven_line`, which all profiles and controllers share."""
+    return driven_line(track, car, speed, friction).replace(friction=friction)
 
 
 def refined_poses(states: Array, period: float) -> Array:

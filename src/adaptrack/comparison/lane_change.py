@@ -18,13 +18,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
 
-from adaptrack.base.checked import real
+from adaptrack.base.checked import Bound, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.outline import Outline
@@ -36,6 +38,8 @@ from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
 Array = NDArray[np.float64]
 Pass = tuple[int, float, "Gate"]
+CarWidth = Annotated[Positive, Field(le=4.0), "m"]
+Speed = Annotated[Positive, MAX_SPEED, "m/s"]
 
 APPROACH, RUN_OUT = 60.0, 60.0
 """Lengths of straight road before the first cones and after the last cones (m)."""
@@ -109,51 +113,38 @@ class Track:
         )
 
 
-def iso_3888_1(width: float) -> Track:
+@checked
+def iso_3888_1(width: CarWidth) -> Track:
     """Return the double lane change of ISO 3888-1, 125 m long, for a car of width b (m).
 
     The lanes are 15, 25 and 30 m long and 1.1 b + 0.25, 1.2 b + 0.25 and 1.3 b + 0.25 m wide. The gaps between them are
     30 and 25 m long.
-
-    Raises
-    ------
-    InvalidInput
-        Unless the width is positive and at most 4 m.
     """
-    first, middle, last = (factor * _width(width) + 0.25 for factor in (1.1, 1.2, 1.3))
+    first, middle, last = (factor * width + 0.25 for factor in (1.1, 1.2, 1.3))
     right, second = -0.5 * first, -0.5 * first + 3.5
     lanes = (0.0, 15.0, right, first), (45.0, 70.0, second, middle), (95.0, 125.0, right, last)
     return Track("iso-3888-1", tuple(Gate(start, end, edge, edge + width) for start, end, edge, width in lanes))
 
 
-def iso_3888_2(width: float) -> Track:
+@checked
+def iso_3888_2(width: CarWidth) -> Track:
     """Return the obstacle avoidance of ISO 3888-2, 61 m long, for a car of width b (m).
 
     The lanes are 12, 11 and 12 m long and 1.1 b + 0.25, b + 1 and 1.3 b + 0.25 (at least 3) m wide. The gaps between
     them are 13.5 and 12.5 m long. The right limit of the second lane is 1 m to the left of the left limit of the first.
-
-    Raises
-    ------
-    InvalidInput
-        Unless the width is positive and at most 4 m.
     """
-    b = _width(width)
-    first, middle, last = 1.1 * b + 0.25, b + 1.0, max(1.3 * b + 0.25, 3.0)
+    first, middle, last = 1.1 * width + 0.25, width + 1.0, max(1.3 * width + 0.25, 3.0)
     right, second = -0.5 * first, 0.5 * first + 1.0
     lanes = (0.0, 12.0, right, first), (25.5, 36.5, second, middle), (49.0, 61.0, right, last)
     return Track("iso-3888-2", tuple(Gate(start, end, edge, edge + width) for start, end, edge, width in lanes))
 
 
-def _width(width: float) -> float:
-    if not 0.0 < real("track", "width", width) <= 4.0:
-        raise InvalidInput(f"track: width = {width!r} m: must be above 0 and at most 4.")
-    return float(width)
-
-
 # -- the line through the gates ---------------------------------------------------------------------------------------
+@checked
 def track_road(
-    track: Track, outline: Outline, room: float = CONE_ROOM, *, bend: float = math.inf, sideslip: float = 0.0
-) -> Road:
+    track: Track, outline: Outline, room: float = CONE_ROOM, *, bend: Annotated[Bound, "1/m"] = math.inf,
+    sideslip: float = 0.0,
+) -> Road:  # fmt: skip
     """Return a road along which the body of a car passes all gates of a track.
 
     A line through the centres of the lanes would have bends that no car can drive at speed, so the line uses the width
@@ -182,10 +173,8 @@ def track_road(
     Raises
     ------
     InvalidInput
-        When the body does not fit between the cones at this distance, or the bound is not positive.
+        When the body does not fit between the cones at this distance.
     """
-    if not real("track_road", "bend", bend) > 0.0:
-        raise InvalidInput(f"track_road: bend = {bend!r} 1/m: must be positive; inf stands for no bound.")
     x = np.arange(track.gates[0].start - APPROACH, track.gates[-1].end + RUN_OUT + 0.5 * LINE_SPACING, LINE_SPACING)
     n = x.size
     least = room if math.isinf(bend) else min(room, LEAST_ROOM)
@@ -216,7 +205,8 @@ def track_road(
     return road.replace(**_widths(track, road))
 
 
-def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9) -> Road:
+@checked
+def driven_line(track: Track, car: Vehicle, speed: Speed, friction: float = 0.9) -> Road:
     """Return `track_road` for a car at a speed: as far from the cones as its grip allows.
 
     The curvature bound is `GRIP_USE` mu g/v^2 with the speed v (m/s) and the friction coefficient mu. The sideslip
@@ -226,10 +216,8 @@ def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9)
     Raises
     ------
     InvalidInput
-        When the speed is not positive, or the body does not fit between the cones.
+        When the body does not fit between the cones.
     """
-    if not 0.0 < real("driven_line", "speed", speed) <= MAX_SPEED.most:
-        raise InvalidInput(f"driven_line: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
     slip = car.lr - car.mass * car.lf * (speed * speed) / (2.0 * car.stiffness_rear * car.wheelbase)
     return track_road(
         track, car.outline, MOST_ROOM, bend=GRIP_USE * friction * GRAVITY / (speed * speed), sideslip=slip
@@ -306,7 +294,8 @@ def _widths(track: Track, road: Road) -> dict[str, tuple[list[float], list[float
     return widths
 
 
-def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> SpeedPlan:
+@checked
+def coasting_plan(track: Track, road: Road, car: Vehicle, speed: Speed) -> SpeedPlan:
     """Return the speed along a track's road: constant up to the first cones, then coasting.
 
     The car enters with a speed (m/s) and loses it by drag and rolling resistance, m v dv/ds = -(rho A c_d v^2/2 + f m
@@ -315,10 +304,8 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> Speed
     Raises
     ------
     InvalidInput
-        When the speed is not positive, or the car stops before the end of the road.
+        When the car stops before the end of the road.
     """
-    if not 0.0 < real("coasting_plan", "speed", speed) <= MAX_SPEED.most:
-        raise InvalidInput(f"coasting_plan: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
     s = np.linspace(0.0, road.length, math.ceil(road.length / LINE_SPACING) + 1)
     entry = float(np.interp(track.gates[0].start, road.at(s).x, s))
     drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass

@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
+from adaptrack.base import files
 from adaptrack.base.errors import InvalidInput, MissingExtra, StorageError
-from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_name, write_atomically, write_json
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.plant import Plant, SteppedPlant, fingerprint, twin_of
-from adaptrack.comparison.compare import check_fits
+from adaptrack.comparison.compare import RUN, Contender, as_column, check_fits, measure_runs
 from adaptrack.comparison.config import (
     Cell,
     ComparisonConfig,
@@ -38,17 +38,14 @@ from adaptrack.comparison.config import (
     load_drive,
     load_setting,
 )
-from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entry_speed import LaneChangeTest, entry_speed
 from adaptrack.comparison.lane_change import iso_3888_2
-from adaptrack.comparison.measures import RUN, as_column, measure_runs
 from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.control.controllers import MPC, About, Controller
 from adaptrack.control.estimation import Perception
 from adaptrack.core.library import kernels_hash
 from adaptrack.drive.drivers import check_forces, make_driver
 from adaptrack.drive.speed_measures import SPEED_MEASURES
-from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive
 from adaptrack.tuning.constant import load_tuning, search_constant
 from adaptrack.tuning.pso import SwarmSettings, is_tunable
@@ -94,13 +91,7 @@ def _obstacle(car: str, profile: str) -> LaneChangeTest | None:
     if not isinstance(setting.plant, Plant):
         return None
     track = iso_3888_2(setting.car.outline.width)
-    return LaneChangeTest(setting.car, setting.plant, track, setting.profile, _roads=_shared_roads(car))
-
-
-@lru_cache(maxsize=16)
-def _shared_roads(car: str) -> dict[float, Road]:
-    """Return a cache of the roads through the track by entry speed (m/s), which all profiles of a car share."""
-    return {}
+    return LaneChangeTest(setting.car, setting.plant, track, setting.profile)
 
 
 def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
@@ -288,9 +279,11 @@ class Compared:
         StorageError
             When the file cannot be written.
         """
-        columns = [ParquetColumn(name, MEASURE_UNITS.get(name, "-"), values) for name, values in self.columns.items()]
+        columns = [
+            files.ParquetColumn(name, MEASURE_UNITS.get(name, "-"), values) for name, values in self.columns.items()
+        ]
         metadata = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
-        write_atomically(path, encode_parquet(COMPARISON_FORMAT, COMPARISON_VERSION, columns, metadata))
+        files.write_atomically(path, files.encode_parquet(COMPARISON_FORMAT, COMPARISON_VERSION, columns, metadata))
 
 
 def run_comparison(
@@ -316,46 +309,29 @@ def run_comparison(
     for number, cell in enumerate(task.cells):
         if progress is not None:
             progress(cell.label, number, len(task.cells))
-        file = None if out is None else _CellFile.of(task, Path(out), cell)
-        stored = None if file is None else file.load()
-        results[cell] = run_cell(task, cell) if stored is None else stored
-        if file is not None and stored is None:
-            file.save(results[cell])
+        results[cell] = run_cell(task, cell) if out is None else _resume_cell(task, Path(out), cell)
     compared = Compared(task, results)
     if out is not None:
         compared.save(Path(out) / RUNS_FILE)
     return compared
 
 
-@dataclass(frozen=True)
-class _CellFile:
-    """JSON file with the result of a cell and the hash of everything that the result depends on."""
-
-    path: Path
-    identity: str
-
-    @classmethod
-    def of(cls, task: ComparisonConfig, folder: Path, cell: Cell) -> _CellFile:
-        software = {"adaptrack": __version__, "kernels": kernels_hash(), "numpy": np.__version__}
-        text = json.dumps([_cell_settings(task, cell), software], sort_keys=True)
-        path = folder / "cells" / f"{safe_name(cell.label)}.json"
-        return cls(path, hashlib.sha256(text.encode()).hexdigest())
-
-    def load(self) -> dict[str, Any] | None:
-        """Return the stored result, or None if there is no file or its hash differs."""
-        if not self.path.exists():
-            return None
-        content = read_json(self.path)
+def _resume_cell(task: ComparisonConfig, folder: Path, cell: Cell) -> dict[str, Any]:
+    """Return the result of a cell that a folder contains for equal settings and software, or drive and store it."""
+    software = {"adaptrack": __version__, "kernels": kernels_hash(), "numpy": np.__version__}
+    text = json.dumps([_cell_settings(task, cell), software], sort_keys=True)
+    identity = hashlib.sha256(text.encode()).hexdigest()
+    file = folder / "cells" / f"{files.safe_name(cell.label)}.json"
+    if file.exists():
+        content = files.read_json(file)
         if not isinstance(content, Mapping) or set(content) != {"identity", "result"}:
-            raise StorageError(f"{self.path}: not the file of a cell. Remove it to continue.")
-        return content["result"] if content["identity"] == self.identity else None
-
-    def save(self, result: dict[str, Any]) -> None:
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StorageError(f"{self.path.parent}: cannot be made: {error.strerror or error}.") from error
-        write_json(self.path, {"identity": self.identity, "result": result})
+            raise StorageError(f"{file}: not the file of a cell. Remove it to continue.")
+        if content["identity"] == identity:
+            return dict(content["result"])
+    result = run_cell(task, cell)
+    files.make_folder(file.parent)
+    files.write_json(file, {"identity": identity, "result": result})
+    return result
 
 
 def _cell_settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:

@@ -75,7 +75,7 @@ class Comparison:
 
     - `cost`: J (m^2); for a failed run the failure distance squared.
     - `failed`: 0 or 1, or the share of failed seeds if the seeds are not separate.
-    - Optionally the measures of `measures.RUN`.
+    - Optionally the measures of `compare.RUN`.
     """
     reference: str
     """Contender that ratios refer to."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.comparison.compare import compare
+from adaptrack.comparison.compare import Contender, compare
 from adaptrack.comparison.config import ControllerSetting, load_drive
-from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import MPC, Controller, about_controller, list_controllers
 from adaptrack.drive.world import ROAD_DRIVER

@@ -21,17 +21,7 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.control.estimation import FrictionWindEstimator
-from adaptrack.core.public import (
-    EPISODE,
-    EPISODE_ARRIVED,
-    EPISODE_FAILED,
-    EPISODE_RUNS,
-    SLOTS,
-    Episodes,
-    ObservationSpace,
-    Resident,
-    renew,
-)
+from adaptrack.core import public as core
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.failure import failure_of
@@ -192,7 +182,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """Number of leading columns of an observation that change at every step; the others are constant."""
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._episode_states = EPISODE.new(self.num_envs)
+        self._episode_states = core.EPISODE.new(self.num_envs)
         self._observations = np.zeros((self.num_envs, len(self.names)))
         self._rngs: list[np.random.Generator] = []
         self._blocks: list[CarBlock] = []
@@ -216,7 +206,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """
         states, observations = self._episode_states[block.slots], self._observations[block.slots]
         episodes = block.episodes._replace(states=states, observations=observations)
-        return block._replace(episodes=episodes, resident=Resident(episodes))
+        return block._replace(episodes=episodes, resident=core.Resident(episodes))
 
     @abstractmethod
     def _controller(self, episode: Episode) -> Controller:
@@ -264,13 +254,13 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         if not self._blocks:
             raise gymnasium.error.ResetNeeded("call reset() first: no run has begun.")
         self._store_actions(check_action(actions, self.action_space))  # type: ignore[arg-type]
-        waiting = np.flatnonzero(self._episode_states["over"] != EPISODE_RUNS)
+        waiting = np.flatnonzero(self._episode_states["over"] != core.EPISODE_RUNS)
         self._episode_states["cost"] = 0.0
         self._apply_to_blocks(self._drive)
         self._episode_states["total"] += self._episode_states["cost"]
         rewards = -self._episode_states["cost"]
         outcomes = self._episode_states["over"].copy()
-        outcomes[waiting] = EPISODE_RUNS
+        outcomes[waiting] = core.EPISODE_RUNS
         infos = self._begin(waiting, None) if waiting.size else {}
         self._apply_to_blocks(self._write_observations)
         if outcomes.any():
@@ -278,8 +268,8 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         return (
             self._observations.copy(),
             rewards,
-            outcomes == EPISODE_FAILED,
-            outcomes == EPISODE_ARRIVED,
+            outcomes == core.EPISODE_FAILED,
+            outcomes == core.EPISODE_ARRIVED,
             infos | self._belief_info,
         )
 
@@ -318,14 +308,14 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             for car in block_cars:
                 self._schedule_start(block, car, episodes[car])
             if block_cars:
-                renew(block.resident)  # starts the scheduled episodes
+                core.renew(block.resident)  # starts the scheduled episodes
                 self._observations[block_cars, self._step_columns :] = self._constant_columns(block.batch)
         for car, episode in episodes.items():
             infos = self._add_info(infos, episode.info, car)
         return infos
 
     def _first_blocks(self, episode: Episode) -> list[CarBlock]:
-        size = 1 if self.task.randomised else SLOTS
+        size = 1 if self.task.randomised else core.SLOTS
         slots = [slice(i, min(i + size, self.num_envs)) for i in range(0, self.num_envs, size)]
         return [self._block(slot, episode) for slot in slots]
 
@@ -342,12 +332,12 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             size, int(batch.substeps.max()), Room(*self._longest_horizons, residuals=False),
             asks=True, needs_variables=True, weight=batch.world.profile.move_weight,
         )  # fmt: skip
-        episodes = Episodes(
+        episodes = core.Episodes(
             run, self._episode_states[slots],
-            ObservationSpace(self.distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
+            core.ObservationSpace(self.distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
             self._observations[slots], task.cost_of_failure(batch.world.failure.distance),
         )  # fmt: skip
-        return CarBlock(slots, batch, episode.vehicle, episodes, Resident(episodes))
+        return CarBlock(slots, batch, episode.vehicle, episodes, core.Resident(episodes))
 
     def _schedule_start(self, block: CarBlock, car: int, episode: Episode) -> None:
         """Set up a car of a block for a new episode, which the kernel `renew` then starts."""

@@ -5,7 +5,7 @@ A belief consists of the steering parameters that an MPC assumes, or of the quan
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals, whole_number
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.control.controllers import MPC, Controller, Learning, published_mpc
-from adaptrack.core.public import BELIEF_NAMES, drive_on, portable, write_variables
-from adaptrack.core.public import LEARNED as BELIEFS_OFFSET
+from adaptrack.control.controllers import MPC, Controller, get_controller
+from adaptrack.core import public as core
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.gym.environment import BELIEF_STATE, CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box, is_over
@@ -56,19 +55,17 @@ def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MP
     UnknownName
         When there is no such controller.
     """
-    arguments: dict[str, Any] = {"period": profile.period, "preview": True, "scheduler": scheduler}
-    if kind == "as-written":
-        return published_mpc(vehicle, **arguments)
     if kind not in ENVIRONMENT_CONTROLLERS:
         raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, ENVIRONMENT_CONTROLLERS)}")
-    return MPC(vehicle, profile=profile, learning=Learning() if kind == "informed-learning" else None, **arguments)
+    optional = {"period": profile.period, "preview": True, "scheduler": scheduler}
+    return cast(MPC, get_controller(kind, vehicle, profile=profile, optional=optional))
 
 
 class Tunings:
     """Conversion between tunings of an MPC and actions within +-1."""
 
     def __init__(self, mpc: MPC) -> None:
-        log_ratio = portable.log10(mpc.tuning.R / mpc.tuning.Q)
+        log_ratio = core.portable.log10(mpc.tuning.R / mpc.tuning.Q)
         self.low = np.array([1.0, 1.0, log_ratio - RATIO_DECADES])
         self.high = np.array([mpc.longest_horizon, mpc.most_moves, log_ratio + RATIO_DECADES])
         self.box = box([(-1.0, 1.0)] * 3)
@@ -81,7 +78,7 @@ class Tunings:
         """Return Np, Nc, Q and R (..., 4) of actions (..., 3), the same bits for one action as for many."""
         tunings = self.of(actions)
         ones = np.ones_like(tunings[..., 2:])
-        return np.concatenate([tunings[..., :2], ones, portable.power(10.0 * ones, tunings[..., 2:])], axis=-1)
+        return np.concatenate([tunings[..., :2], ones, core.portable.power(10.0 * ones, tunings[..., 2:])], axis=-1)
 
     def action(self, Np: float, Nc: float, ratio: float) -> Array:
         """Return the action (3,) for Np and Nc (control periods) and ratio = log10 R/Q.
@@ -103,14 +100,14 @@ def variable_bounds(mpc: MPC) -> dict[str, tuple[float, float]]:
     The scheduling variables come first, then the learned or assumed quantities of the MPC.
     """
     if mpc.learner is not None:
-        return {**VARIABLE_BOUNDS, **dict.fromkeys(BELIEF_NAMES, LEARNED_BOUNDS)}
+        return {**VARIABLE_BOUNDS, **dict.fromkeys(core.BELIEF_NAMES, LEARNED_BOUNDS)}
     return {**VARIABLE_BOUNDS, **(BELIEF_BOUNDS if mpc.belief is not None else {})}
 
 
 def initial_belief(mpc: Controller) -> tuple[float, ...]:
     """Return the initial values of the columns after the scheduling variables, see `variable_bounds`."""
     if mpc.learner is not None:
-        return tuple(mpc.learner.fresh()[BELIEFS_OFFSET : BELIEFS_OFFSET + len(BELIEF_NAMES)].tolist())
+        return tuple(mpc.learner.fresh()[core.LEARNED : core.LEARNED + len(core.BELIEF_NAMES)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)
 
 
@@ -238,7 +235,11 @@ class MPCTuningEnv(_MPCTuning, SingleCarEnv):
     @property
     def _belief_info(self) -> dict[str, Any]:
         """The state of the learned quantities for ``info``, empty if the controller does not learn."""
-        return {} if self._mpc.learner is None else {BELIEF_STATE: int(self._belief[BELIEF_NAMES.index(BELIEF_STATE)])}
+        return (
+            {}
+            if self._mpc.learner is None
+            else {BELIEF_STATE: int(self._belief[core.BELIEF_NAMES.index(BELIEF_STATE)])}
+        )
 
     def _write_observation(self, loop: ClosedLoop) -> None:
         variables = loop.sensed.variables
@@ -289,7 +290,7 @@ class MPCTuningVectorEnv(_MPCTuning, VectorEnv):
 
     def _drive(self, block: CarBlock) -> None:
         for _ in range(self.every):
-            drive_on(block.resident)
+            core.drive_on(block.resident)
 
     def _write_observations(self, block: CarBlock) -> None:
-        write_variables(block.resident)
+        core.write_variables(block.resident)

@@ -16,21 +16,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.setup import world_and_belief
-from adaptrack.core.public import (
-    EPISODE_RUNS,
-    GRAVITY,
-    HOLDING_DECELERATION,
-    MIN_APPROACH_SPEED,
-    PLANT_STATE,
-    SIGNAL,
-    SLOTS,
-    STANDING_SPEED,
-    ObservationSpace,
-    Resident,
-    drive_on,
-    write_observations,
-    write_one_observation,
-)
+from adaptrack.core import public as core
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import RequestedForces
 from adaptrack.gym.environment import CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box
@@ -97,19 +83,18 @@ class AccelerationInput:
         """
         loop, signals = run.memory.drives, run.inputs.signals
         place = np.where(loop["located"] > 0, loop["place"], np.minimum(loop["sample"], signals.shape[2] - 1))
-        grade = signals[run.inputs.scenario, SIGNAL.grade, place]
-        slope = GRAVITY * grade / np.sqrt(1.0 + grade * grade)
+        grade = signals[run.inputs.scenario, core.SIGNAL.grade, place]
+        slope = core.GRAVITY * grade / np.sqrt(1.0 + grade * grade)
         speed, mass = loop["speed"], run.settings.mass
         drag = 0.5 * vehicle.air_density * vehicle.frontal_area * vehicle.drag_coefficient
-        rolling = vehicle.rolling_resistance * GRAVITY * np.clip(2.0 * speed, 0.0, 1.0)
+        rolling = vehicle.rolling_resistance * core.GRAVITY * np.clip(2.0 * speed, 0.0, 1.0)
         force = mass * (accelerations + rolling + slope) + drag * speed * np.abs(speed)
-        stands, drives = np.abs(speed) < STANDING_SPEED, accelerations > 0.0
-        holding = np.where(
-            drives, mass * slope - loop["drive_force"], mass * (np.abs(slope) + HOLDING_DECELERATION - accelerations)
-        )  # fmt: skip
+        stands, drives = np.abs(speed) < core.STANDING_SPEED, accelerations > 0.0
+        held = mass * (np.abs(slope) + core.HOLDING_DECELERATION - accelerations)
+        holding = np.where(drives, mass * slope - loop["drive_force"], held)
         loop["requested_force"] = np.where(stands & ~drives, 0.0, force)
         loop["requested_hold"] = np.where(stands, np.maximum(holding, 0.0), 0.0)
-        true_speed = run.vehicles.block[PLANT_STATE.vx * SLOTS :][: loop.size]
+        true_speed = run.vehicles.block[core.PLANT_STATE.vx * core.SLOTS :][: loop.size]
         speed_error = true_speed - self._planned_speeds(loop["station"], np.zeros(1), run)[:, 0]
         change = accelerations - last
         last[:] = accelerations
@@ -133,12 +118,12 @@ class AccelerationInput:
             cars = np.flatnonzero(inputs.scenario == scenario)
             plan = inputs.signals[scenario]
             if inputs.roads.of[scenario] >= 0:
-                places, grid = stations[cars, None] + distances, plan[SIGNAL.station]
+                places, grid = stations[cars, None] + distances, plan[core.SIGNAL.station]
             else:
-                approach = np.maximum(loop["speed"][cars], MIN_APPROACH_SPEED) * run.settings.period
+                approach = np.maximum(loop["speed"][cars], core.MIN_APPROACH_SPEED) * run.settings.period
                 places = loop["instant"][cars, None] + distances / approach[:, None]
                 grid = np.arange(plan.shape[1], dtype=np.float64)
-            speeds[cars] = np.interp(places, grid, plan[SIGNAL.speed])
+            speeds[cars] = np.interp(places, grid, plan[core.SIGNAL.speed])
         return speeds
 
 
@@ -297,8 +282,8 @@ class PathTrackingEnv(_PathTracking, SingleCarEnv):
 
     def _begin(self, episode: Episode) -> None:
         space = self.observation_space
-        bounds = ObservationSpace(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
-        self._bounds = Resident(bounds)
+        bounds = core.ObservationSpace(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
+        self._bounds = core.Resident(bounds)
         self._acceleration[:] = 0.0
         self._vehicle = episode.vehicle
 
@@ -312,7 +297,7 @@ class PathTrackingEnv(_PathTracking, SingleCarEnv):
         return self._drive_period(loop, command, speed_cost)
 
     def _write_observation(self, loop: ClosedLoop) -> None:
-        write_one_observation(loop.resident, self._bounds, self._observation)
+        core.write_one_observation(loop.resident, self._bounds, self._observation)
         if self._speed is not None:
             self._speed.observe(self._acceleration, loop.run, self._observation[None])
 
@@ -372,12 +357,12 @@ class PathTrackingVectorEnv(_PathTracking, VectorEnv):
         if self._speed is not None:
             states, last = self._episode_states[block.slots], self._accelerations[block.slots]
             cost = self._speed.request(self._actions[block.slots, 1], last, block.vehicle, block.episodes.run)
-            states["cost"] += np.where(states["over"] == EPISODE_RUNS, cost, 0.0)
+            states["cost"] += np.where(states["over"] == core.EPISODE_RUNS, cost, 0.0)
         block.episodes.run.controller.answer[:, 0] = self._actions[block.slots, 0]
-        drive_on(block.resident)
+        core.drive_on(block.resident)
 
     def _write_observations(self, block: CarBlock) -> None:
-        write_observations(block.resident)
+        core.write_observations(block.resident)
         if self._speed is not None:
             run, last = block.episodes.run, self._accelerations[block.slots]
             self._speed.observe(last, run, self._observations[block.slots])

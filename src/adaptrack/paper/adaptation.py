@@ -24,6 +24,7 @@ from adaptrack.analysis.feasibility import Feasibility
 from adaptrack.analysis.stability import linear_twin, loop_map
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import make_folder
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.control import scheduling
@@ -31,11 +32,11 @@ from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.scheduling import Schedule, SchedulingVariables, StabilityMap, load_scheduler
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import FailureLimits
-from adaptrack.paper.campaign import make_folder, run_campaign, software_versions, tuned_mpc
-from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan, Sobol
+from adaptrack.paper.campaign import run_campaign, software_versions, tuned_mpc
+from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.improvement import LEARNED_OUTPUTS, LEARNING_ROUNDS, Learnable, Surfaces, Training, improve
-from adaptrack.paper.operating_points import POINT_NAMES, sobol
+from adaptrack.paper.operating_points import POINT_NAMES, Sobol, sobol
 from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings, minimise

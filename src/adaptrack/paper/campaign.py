@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from adaptrack import __version__
 from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, MissingExtra, StorageError
-from adaptrack.base.files import Damaged
+from adaptrack.base.files import Damaged, make_folder
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.control.controllers import MPC, Tuning, published_mpc
@@ -384,11 +384,3 @@ def _end_with_parent() -> None:
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def make_folder(path: Path) -> None:
-    """Create a folder unless it exists; raises `StorageError` when that fails."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{path}: cannot be created: {error.strerror or error}.") from error

@@ -29,81 +29,16 @@ from adaptrack.cars.vehicle import Tyre, Vehicle, find_data, is_path, list_data,
 from adaptrack.control.controllers import Tuning
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, FailureLimits
-from adaptrack.paper.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
+from adaptrack.paper.operating_points import Fold, OperatingPoints, Seed, fold, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
-from adaptrack.tuning.pso import Pair, SearchBounds, SwarmSettings
+from adaptrack.tuning.pso import SearchBounds, SwarmSettings
 
 Array = NDArray[np.float64]
 
 _log = logging.getLogger("adaptrack")
 
-MAX_CAMPAIGN_SEED = 2**63 - 1
 STANDARD_ROW = tuple(Tuning().as_array().tolist())
 """The paper's table: Np 35, Nc 8, Q 10, R 0.01."""
-
-
-Levels = Annotated[tuple[float, ...], LISTED, Field(min_length=1)]
-Seed = Annotated[int, Field(ge=0, le=MAX_CAMPAIGN_SEED)]
-
-
-# -- operating points ------------------------------------------------------------------------------------------------
-class PaperGrid(Record):
-    """The 6,435 operating points of the authors' published data."""
-
-    kind: Literal["paper-grid"] = "paper-grid"
-
-    def rows(self) -> Array:
-        """The operating points, (n, 4)."""
-        return paper_grid()
-
-
-class Grid(Record):
-    """All combinations of the given levels, see `operating_points.grid`."""
-
-    kind: Literal["grid"] = "grid"
-    speed: Levels = Field(description="m/s")
-    y_ref: Levels = Field(description="m")
-    friction: Levels = Field(description="-")
-    wind: Levels = Field(description="m/s")
-
-    @model_validator(mode="after")
-    def _can_be_counted(self) -> Self:
-        self.rows()
-        return self
-
-    def rows(self) -> Array:
-        """The operating points, (n, 4)."""
-        return grid(speed=self.speed, y_ref=self.y_ref, friction=self.friction, wind=self.wind)
-
-
-class Box(Record):
-    """Lowest and highest value of each quantity."""
-
-    speed: Pair = Field(description="m/s")
-    y_ref: Pair = Field(description="m")
-    friction: Pair = Field(description="-")
-    wind: Pair = Field(description="m/s")
-
-    @model_validator(mode="after")
-    def _is_a_box(self) -> Self:
-        check_box(dict(self))
-        return self
-
-
-class Sobol(Record):
-    """Points of a scrambled Sobol sequence in a box, see `operating_points.sobol`."""
-
-    kind: Literal["sobol"] = "sobol"
-    n: int = Field(ge=1, le=10_000_000, description="how many operating points")
-    seed: Seed = Field(default=0, description="of the scrambling")
-    box: Box = Field(description="lowest and highest value of each quantity")
-
-    def rows(self) -> Array:
-        """The operating points, (n, 4)."""
-        return sobol(self.n, dict(self.box), self.seed)
-
-
-OperatingPoints = Annotated[PaperGrid | Grid | Sobol, Field(discriminator="kind")]
 
 
 # -- tunings ----------------------------------------------------------------------------------------------------------
@@ -359,7 +294,7 @@ class CampaignPlan:
         rows, library = config.operating_points.rows(), config.library.rows(config.search)
         check_limit("landscape", len(rows) * len(library), LANDSCAPE_COSTS)
         numbers = np.arange(len(rows))
-        twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
+        twins = fold(rows) if config.mirror else Fold(numbers, numbers)
         setup = Setup(config, vehicle, tyre)
         setup.plant()  # one that is not known, or none of this car, is refused before any work
         return cls(setup, rows, twins, library)

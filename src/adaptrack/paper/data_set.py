@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base import files
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.result import strict
+from adaptrack.cars.vehicle import find_data, list_data
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
 from adaptrack.core.controllers.mpc import MPC_TUNING_FIELDS
 from adaptrack.core.maths import portable
@@ -28,7 +29,6 @@ DATA_SET_FORMAT = "adaptrack data set"
 DATA_SET_VERSION = 1
 """Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
 
-_DATA = files.SHIPPED / "datasets"
 _COLUMN = {"costs": "cost", "standard_costs": "standard_cost", "traces": "trace"}
 """Names of columns that differ from those of the arrays."""
 _WHOLE = ("evaluations", "control_steps", "stream", "mirrored_from", "seed")
@@ -262,7 +262,7 @@ def _read_only(array: Array) -> Array:
 
 def list_datasets() -> list[str]:
     """The names of the data sets that ship with the package."""
-    return sorted(path.stem for path in _DATA.glob("*.parquet"))
+    return list_data("datasets", ".parquet")
 
 
 @checked
@@ -277,20 +277,15 @@ def load_dataset(name_or_path: str | os.PathLike[str]) -> DataSet:
         When the file cannot be read, is damaged, no data set or of another format version, or when the folder holds no
         finished campaign.
     """
+    if not os.path.exists(name_or_path) or name_or_path in list_datasets():
+        return DataSet.load(find_data("datasets", name_or_path, ".parquet"))
     path = Path(name_or_path)
-    if isinstance(name_or_path, str) and name_or_path in list_datasets():
-        return DataSet.load(_DATA / f"{name_or_path}.parquet")
-    if os.path.isdir(path):
-        if not (path / "dataset.parquet").exists():
+    if path.is_dir():
+        path = path / "dataset.parquet"
+        if not path.exists():
             raise StorageError(
-                f"{path}: holds no dataset.parquet; if its campaign is not finished, run the campaign again."
+                f"{path.parent}: holds no {path.name}; if its campaign is not finished, run the campaign again."
             )
-        return DataSet.load(path / "dataset.parquet")
-    if not (isinstance(name_or_path, os.PathLike) or path.suffix or path.name != str(name_or_path)):
-        raise UnknownName(
-            f"no data set is named {name_or_path!r}. {did_you_mean(str(name_or_path), list_datasets())} "
-            "A file of your own is given by its path."
-        )
     return DataSet.load(path)
 
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import Plant, SteppedPlant
-from adaptrack.comparison.compare import compare
-from adaptrack.comparison.contenders import Contender
+from adaptrack.comparison.compare import Contender, compare
 from adaptrack.comparison.table import Comparison
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation

@@ -7,8 +7,8 @@ The paper's section III varies the operating point of a run. Here it is a row of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Annotated, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 import pydantic
@@ -16,7 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Count, Natural, checked
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import LISTED, Record
 from adaptrack.core.kernel import Field
+from adaptrack.tuning.pso import Pair
 
 Array = NDArray[np.float64]
 IntegerArray = NDArray[np.int64]
@@ -32,7 +34,7 @@ POINT_COORDINATES = (
 
 POINT_NAMES = tuple(column.name for column in POINT_COORDINATES)
 
-PAPER_GRID: dict[str, tuple[float, ...]] = {
+PAPER_GRID: dict[str, Any] = {
     "y_ref": (-14.0, -10.0, -6.0, -2.0, 2.0, 5.0, 8.0, 11.0, 14.0),
     "speed": tuple(float(v) for v in range(3, 28, 2)),
     "friction": (0.5, 0.6, 0.7, 0.8, 0.9),
@@ -71,74 +73,91 @@ def check_operating_points(points: ArrayLike) -> Array:
     return rows + 0.0  # no negative zeros: equal points are equal bit for bit
 
 
-def grid(*, speed: Sequence[float], y_ref: Sequence[float], friction: Sequence[float], wind: Sequence[float]) -> Array:
-    """All combinations of the given levels, (n, 4).
+# -- sets of operating points, as in the file of a campaign ------------------------------------------------------------
+Levels = Annotated[tuple[float, ...], LISTED, pydantic.Field(min_length=1)]
+Seed = Annotated[int, pydantic.Field(ge=0, le=2**63 - 1)]
 
-    Counted like the authors' data: y_ref changes slowest, then speed, friction, and wind fastest.
 
-    Raises
-    ------
-    InvalidInput
-        For a quantity without levels, a level given twice, or a value that makes no sense.
+class Grid(Record):
+    """All combinations of the given levels, counted like the authors' data.
+
+    y_ref changes slowest, then speed, friction, and wind fastest.
     """
-    axes = {"y_ref": y_ref, "speed": speed, "friction": friction, "wind": wind}
-    levels: dict[str, Array] = {}
-    for name, values in axes.items():
-        try:
-            levels[name] = np.array(values, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InvalidInput(f"grid: {name}: need a list of numbers.") from None
-        if levels[name].ndim != 1 or not levels[name].size:
-            raise InvalidInput(f"grid: {name}: need a list of one level or more.")
-        if np.unique(levels[name]).size < levels[name].size:
-            raise InvalidInput(f"grid: {name}: a level is given twice.")
-    if math.prod(axis.size for axis in levels.values()) > MAX_POINTS:
-        raise InvalidInput(f"grid: more than {MAX_POINTS:,} operating points; use fewer levels.")
-    mesh = dict(zip(levels, np.meshgrid(*levels.values(), indexing="ij"), strict=True))
-    return check_operating_points(np.column_stack([mesh[name].ravel() for name in POINT_NAMES]))
+
+    kind: Literal["grid"] = "grid"
+    speed: Levels = pydantic.Field(description="m/s")
+    y_ref: Levels = pydantic.Field(description="m")
+    friction: Levels = pydantic.Field(description="-")
+    wind: Levels = pydantic.Field(description="m/s")
+
+    @pydantic.model_validator(mode="after")
+    def _can_be_counted(self) -> Self:
+        self.rows()
+        return self
+
+    def rows(self) -> Array:
+        """The operating points, (n, 4)."""
+        levels = {name: getattr(self, name) for name in ("y_ref", "speed", "friction", "wind")}
+        for name, values in levels.items():
+            if len(set(values)) < len(values):
+                raise InvalidInput(f"grid: {name}: a level is given twice.")
+        if math.prod(map(len, levels.values())) > MAX_POINTS:
+            raise InvalidInput(f"grid: more than {MAX_POINTS:,} operating points; use fewer levels.")
+        mesh = dict(zip(levels, np.meshgrid(*levels.values(), indexing="ij"), strict=True))
+        return check_operating_points(np.column_stack([mesh[name].ravel() for name in POINT_NAMES]))
 
 
-def paper_grid() -> Array:
-    """The 6,435 operating points of the authors' published data, (6435, 4), see `PAPER_GRID`."""
-    return grid(**PAPER_GRID)
+class PaperGrid(Record):
+    """The 6,435 operating points of the authors' published data, see `PAPER_GRID`."""
+
+    kind: Literal["paper-grid"] = "paper-grid"
+
+    def rows(self) -> Array:
+        """The operating points, (6435, 4)."""
+        return Grid(**PAPER_GRID).rows()
 
 
-def check_box(box: Mapping[str, Sequence[float]]) -> Array:
-    """A box of operating points as an array (4, 2) of lowest and highest value, rows as in `POINT_COORDINATES`.
+class Box(Record):
+    """Lowest and highest value of each quantity."""
 
-    Raises
-    ------
-    InvalidInput
-        Unless it has one pair low <= high for each of speed, y_ref, friction and wind, within what makes sense.
-    """
-    if set(box) != set(POINT_NAMES):
-        missing, unknown = sorted(set(POINT_NAMES) - set(box)), sorted(set(box) - set(POINT_NAMES))
-        difference = "; ".join(
-            f"{word} {', '.join(names)}" for word, names in (("missing:", missing), ("unknown:", unknown)) if names
-        )
-        raise InvalidInput(f"box: need a pair [low, high] for each of {', '.join(POINT_NAMES)}; {difference}.")
-    bounds = np.empty((len(POINT_COORDINATES), 2))
-    for row, column in zip(bounds, POINT_COORDINATES, strict=True):
-        pair = box[column.name]
-        if len(pair) != 2:
-            raise InvalidInput(f"box: {column.name} = {list(pair)!r}: need a pair [low, high].")
-        row[:] = pair
-        if not row[0] <= row[1]:
-            raise InvalidInput(f"box: {column.name} = [{row[0]:g}, {row[1]:g}] is empty: need low <= high.")
-        low, high = column.ends
-        if not low <= row[0] <= row[1] <= high:
-            raise InvalidInput(f"box: {column.name} = [{row[0]:g}, {row[1]:g}]: must be within {_range(column)}.")
-    return bounds
+    speed: Pair = pydantic.Field(description="m/s")
+    y_ref: Pair = pydantic.Field(description="m")
+    friction: Pair = pydantic.Field(description="-")
+    wind: Pair = pydantic.Field(description="m/s")
+
+    @pydantic.model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        for column in POINT_COORDINATES:
+            low, high = getattr(self, column.name)
+            if low > high:
+                raise ValueError(f"box: {column.name} = [{low:g}, {high:g}] is empty: need low <= high.")
+            if not column.ends[0] <= low <= high <= column.ends[1]:
+                raise ValueError(f"box: {column.name} = [{low:g}, {high:g}]: must be within {_range(column)}.")
+        return self
+
+
+class Sobol(Record):
+    """Points of a scrambled Sobol sequence in a box, see `sobol`."""
+
+    kind: Literal["sobol"] = "sobol"
+    n: int = pydantic.Field(ge=1, le=MAX_POINTS, description="how many operating points")
+    seed: Seed = pydantic.Field(default=0, description="of the scrambling")
+    box: Box = pydantic.Field(description="lowest and highest value of each quantity")
+
+    def rows(self) -> Array:
+        """The operating points, (n, 4)."""
+        return sobol(self.n, dict(self.box), self.seed)
+
+
+OperatingPoints = Annotated[PaperGrid | Grid | Sobol, pydantic.Field(discriminator="kind")]
 
 
 @checked
-def sobol(
-    n: Annotated[Count, pydantic.Field(le=MAX_POINTS)], box: Mapping[str, Sequence[float]], seed: Natural = 0
-) -> Array:
+def sobol(n: Annotated[Count, pydantic.Field(le=MAX_POINTS)], box: Mapping[str, Any], seed: Natural = 0) -> Array:
     """The first n points of a scrambled Sobol sequence in a box, (n, 4).
 
-    box: a pair [low, high] for each of speed, y_ref, friction, wind; seed: of the scrambling. The points fill the box
-    more evenly than random ones, best when n is a power of two; the first points of a longer sample are the same.
+    box: values of a `Box` by name; seed: of the scrambling. The points fill the box more evenly than random ones, best
+    when n is a power of two; the first points of a longer sample are the same.
 
     Source: A. B. Owen, *Scrambling Sobol' and Niederreiter-Xing points*, J. Complexity 14 (1998), by `scipy.stats.qmc`.
 
@@ -147,10 +166,8 @@ def sobol(
     InvalidInput
         For an empty box, or one that makes no sense.
     """
-    bounds = check_box(box)
-    return check_operating_points(
-        bounds[:, 0] + unit_sobol(n, len(POINT_COORDINATES), seed) * (bounds[:, 1] - bounds[:, 0])
-    )
+    low, high = np.array([pair for _, pair in Box(**box)]).T
+    return check_operating_points(low + unit_sobol(n, len(POINT_COORDINATES), seed) * (high - low))
 
 
 @checked
@@ -179,16 +196,13 @@ class Fold(NamedTuple):
     """(m,) numbers of the operating points to compute, ascending"""
     family: IntegerArray
     """(n,) operating point i is represented by `representatives[family[i]]`"""
-    sign: IntegerArray
-    """(n,) 1 when it equals its representative, -1 when it is the mirror image"""
 
 
 def fold(points: ArrayLike) -> Fold:
     """Find the operating points that are left-right twins (or equal): the first of each family represents it.
 
-    With reps = points[representatives]: points[i] is reps[family[i]] where sign[i] is 1, and
-    mirrored(reps)[family[i]] where it is -1. Twins are found by equality, bit for bit: in a grid they are as common as
-    its levels are symmetric (2,860 of the paper's 6,435 operating points have one), in a Sobol sample there are none.
+    Twins are found by equality, bit for bit: in a grid they are as common as its levels are symmetric (2,860 of the
+    paper's 6,435 operating points have one), in a Sobol sample there are none.
     """
     rows = check_operating_points(points)
     _, first, by_value = np.unique(canonical(rows), axis=0, return_index=True, return_inverse=True)
@@ -197,8 +211,7 @@ def fold(points: ArrayLike) -> Fold:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     representatives, family = first[order], rank[by_value.reshape(-1)]
-    equal = (rows == rows[representatives[family]]).all(axis=1)
-    return Fold(representatives.astype(np.int64), family.astype(np.int64), np.where(equal, 1, -1).astype(np.int64))
+    return Fold(representatives.astype(np.int64), family.astype(np.int64))
 
 
 def canonical(points: ArrayLike) -> Array:

@@ -1,6 +1,6 @@
 """Surfaces: one output as a function of the inputs, which can take a step of a weighted regression.
 
-A level (a number), a small network, a fuzzy system. A schedule runs their `function`.
+A small network or a fuzzy system. A schedule runs their `function`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from adaptrack.control.scheduling.functions import BELL_SLOPE, BELL_WIDTH, Function, Network, Number, Sugeno
+from adaptrack.control.scheduling.functions import BELL_SLOPE, BELL_WIDTH, Function, Network, Sugeno
 from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
@@ -53,22 +53,6 @@ class Surface(ABC):
     @abstractmethod
     def function(self) -> Function:
         """The function of a schedule's entry."""
-
-
-@dataclass(frozen=True)
-class Level(Surface):
-    """A surface with one value everywhere."""
-
-    value: float
-
-    def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
-        return replace(self, value=float(np.average(target, weights=weight)))
-
-    def average(self, surfaces: Sequence[Self]) -> Self:
-        return replace(self, value=float(np.mean([self.value, *(surface.value for surface in surfaces)])))
-
-    def function(self) -> Number:
-        return Number(self.value)
 
 
 @dataclass(frozen=True, eq=False)
