@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ..kernel import inlined
 from ..maths.exact import sqrt
+from ..maths.exponential import power
 from ..maths.fast import fast_arctangent_of_ratio, fast_sine
 
 LEAST_LOAD = 1.0
@@ -58,3 +59,14 @@ def friction_ellipse(longitudinal: float, load: float, friction: float) -> float
     """Share of the lateral force that is left beside a longitudinal force: sqrt(1 - (F_x/(mu F_z))^2), >= 0.1."""
     used = longitudinal / max(friction * load, 1e-3)
     return sqrt(max(1.0 - used * used, 0.01))
+
+
+@inlined
+def brush_slope(used: float) -> float:
+    """Slope of a brush tyre's curve over that at no slip, at a used share of its grip: (1 - s)^(2/3), 0 from s = 1 on.
+
+    With z a third of stiffness times slip over friction times load, F = friction load (1 - (1 - z)^3), so that the
+    slope is (1 - z)^2 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., eq. 3.7). The Magic Formula of a car's tyre lies
+    above it up to about 0.8 of the grip.
+    """
+    return power(max(1.0 - abs(used), 0.0), 2.0 / 3.0)
