@@ -80,7 +80,7 @@ class Fleet:
             [SpeedControl(car, friction=end).settings(PERIOD, Comfort()).friction for end in told] for car in vehicles
         ])[self.car]  # fmt: skip
         self.told = usable
-        self.truth = usable[:, 0] + (usable[:, 1] - usable[:, 0]) * rng.random(count)
+        self.truth = told[0] + (usable[:, 1] - told[0]) * rng.random(count)
         if exact:
             self.transfers = np.zeros(count, bool)
         # the file's stiffness over the true one; the true balance
@@ -95,6 +95,8 @@ class Fleet:
         self.gust = np.where(windy, 4.0, 0.0)
         self.bank = np.where(banked, 1.0, 0.0)
         self.offset, self.scale = 0.05 * rng.standard_normal(count), 1.0 + 0.01 * rng.standard_normal(count)
+        relaxation = np.array([tyre.relaxation_length for tyre in tyres])[self.car]
+        self.relaxation = np.where((rng.random(count) < 0.5), relaxation, 0.01)
         self.bias = 0.004 * rng.standard_normal(count)
         self.gain = np.exp(0.1 * rng.standard_normal(count))
         self.share = rng.uniform(0.5, 0.98, count)
@@ -102,8 +104,8 @@ class Fleet:
         if patches:
             self.truth = np.full(count, 0.9)
             self.share = rng.uniform(0.75, 0.9, count)
-        self.curvature, self.speed, self.pull = self._roads(rng)
         self.levels = self._levels(rng)
+        self.curvature, self.speed, self.pull = self._roads(rng)
         self.rng = rng
         self._find_peaks()
 
@@ -119,14 +121,14 @@ class Fleet:
                 end = min(s + length, WAY)
                 curvature[i, s:end] = rng.choice((-1.0, 1.0)) * profile[: end - s]
                 s = end + int(rng.choice((rng.uniform(2, 15), rng.uniform(20, 120))))
-        grip = (self.share * self.truth * GRAVITY)[:, None]
+        grip = (self.share * self.truth * GRAVITY)[:, None] * self.levels
         square = np.minimum(grip / np.maximum(np.abs(curvature), 1e-4), 27.0**2)
-        most = np.minimum(3.0, 0.45 * grip[:, 0])
+        most = np.minimum(3.0, 0.45 * grip)
         for j in range(WAY - 2, -1, -1):
-            left = most * np.sqrt(np.maximum(1.0 - (square[:, j + 1] * np.abs(curvature[:, j]) / grip[:, 0]) ** 2, 0.05))
+            left = most[:, j] * np.sqrt(np.maximum(1.0 - (square[:, j + 1] * np.abs(curvature[:, j]) / grip[:, j]) ** 2, 0.05))
             square[:, j] = np.minimum(square[:, j], square[:, j + 1] + 2.0 * left)
         for j in range(1, WAY):
-            left = most * np.sqrt(np.maximum(1.0 - (square[:, j - 1] * np.abs(curvature[:, j]) / grip[:, 0]) ** 2, 0.05))
+            left = most[:, j] * np.sqrt(np.maximum(1.0 - (square[:, j - 1] * np.abs(curvature[:, j]) / grip[:, j]) ** 2, 0.05))
             square[:, j] = np.minimum(square[:, j], square[:, j - 1] + 1.4 * left)
         x = np.arange(WAY)
         phase, length = rng.uniform(0, 2 * math.pi, (self.count, 1)), rng.uniform(150, 500, (self.count, 1))
@@ -140,7 +142,6 @@ class Fleet:
             for i in range(self.count):
                 first, second = int(rng.uniform(500, 700)), int(rng.uniform(950, 1200))
                 levels[i, first:second], levels[i, second:] = 0.5 / 0.9, 0.3 / 0.9
-            self.speed = np.minimum(self.speed, np.sqrt(levels) * self.speed)  # the plan knows the patches
         return levels
 
     def axle(self, front: bool, slip: Array, load: Array, shift: Array, friction: Array) -> Array:
@@ -176,6 +177,7 @@ class Fleet:
         zeros = np.zeros(self.count)
         self.x, self.y, self.yaw, self.vx, self.vy, self.r = zeros, zeros, zeros, speed.copy(), zeros.copy(), zeros.copy()
         self.wheel, self.force, self.ax, self.ay, self.felt_x, self.felt_y = (zeros.copy() for _ in range(6))
+        self.slips = np.zeros((2, self.count))
         self.commands, self.requests, self.gusts = [zeros] * 8, [zeros] * 8, self.wind.copy()
         self.lag = np.array([STEERING[name][0] for name in CARS])[self.car]
         self.late = np.array([round(STEERING[name][1] / PERIOD) for name in CARS])[self.car]
@@ -212,10 +214,12 @@ class Fleet:
             ):  # fmt: skip
                 side = vy + (self.lf if is_front else -self.lr) * r
                 slip = (angle if is_front else 0.0) - np.arctan2(side, np.maximum(vx, 1.0))
+                relaxed = self.slips[0 if is_front else 1]
+                relaxed += (1.0 - np.exp(-h * vx / self.relaxation)) * (slip - relaxed)
                 load = self.mass * GRAVITY * lever / wheelbase + (-pitch if is_front else pitch)
                 along = np.clip(share * self.force, -0.9 * friction * load, 0.9 * friction * load)
                 left = np.sqrt(1.0 - (along / (friction * load)) ** 2)
-                sides.append(left * self.axle(is_front, slip, load, roll * lever / track, friction))
+                sides.append(left * self.axle(is_front, relaxed, load, roll * lever / track, friction))
                 longitudinal.append(along)
             air = np.clip(np.arctan2(self.gusts - vy, np.maximum(vx, 1.0)), -0.3, 0.3)
             pressure = 0.6 * self.frontal_area * (vx**2 + (self.gusts - vy) ** 2)
@@ -251,7 +255,7 @@ class Fleet:
             self.move(command, request, self.tyre_friction * self.levels[each, place], self.pull[each, place])
             s = s + PERIOD * self.vx
             lost |= (np.abs(self.vy) > 0.35 * self.vx) | (s > WAY - 60)
-            for state in (self.vy, self.r, self.wheel, integral):
+            for state in (self.vy, self.r, self.wheel, integral, *self.slips):
                 state[lost] = 0.0
             self.vx[lost], s[lost] = 5.0, 5.0
         return {name: np.array(values) for name, values in rows.items()}
