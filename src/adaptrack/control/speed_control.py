@@ -43,7 +43,7 @@ from adaptrack.road.speed import packed, steering_limit
 Array = NDArray[np.float64]
 ASSUMABLE_FRICTION = (0.05, 1.5)
 """Lowest and highest coefficient of friction that may be assumed: wet ice, and racing tyres."""
-FRICTION_COUNT = 13
+FRICTION_COUNT = 14
 """Coefficients of friction, evenly within the interval."""
 LONGEST_STEERING_DELAY = 1.0
 """s, of the steering and the samples together, for which commands are remembered."""
@@ -291,7 +291,9 @@ def longitudinal_of(
     return longitudinal
 
 
-def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float, controller: Controller | None) -> Any:
+def friction_estimate(
+    interval: tuple[float, float], car: Vehicle, period: float, controller: Controller | None, shape: float = 0.0
+) -> Any:  # fmt: skip
     """An estimate of the friction by the steering model of a controller (`core.speed.friction.FrictionEstimate`).
 
     It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
@@ -309,7 +311,7 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float
         knowledge = {"lag": belief.lag.value, "dead_time": belief.delay, **ASSUMED_KNOWLEDGE}
     return friction_kernel.FrictionEstimate(
         friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(hypotheses),
-        np.zeros(commands), plant, period, variances, low, high,
+        np.zeros(commands), plant, period, variances, low, high, shape,
         LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | knowledge),
     )  # fmt: skip
 
