@@ -50,7 +50,7 @@ FRICTION_HYPOTHESIS = record(
     (
         "friction", "grip",  # -, -: of the tyres; largest steady lateral acceleration over g
         "shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
-        "score",  # logarithm of the weight
+        "score", "evidence",  # logarithm of the weight, and of the likelihood of the last sample
         ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
 )  # fmt: skip
@@ -78,6 +78,7 @@ FRICTION_MEMORY = record(
     (
         "running",  # 1 while the filters follow the motion
         "friction", "low", "high",  # -, mean and ends of the interval
+        "surprise",  # -, mean of the squared innovations over what is assumed of them, of the best filter
         "friction_age",  # m, since the tyres were last excited
         "used",  # -, friction that the tyres certainly use at present
         "angle", "age",  # rad, s: wheels and age of the last sample
@@ -118,8 +119,10 @@ RISE_DISTANCE = 80.0
 WIDTH_CAUTION, LARGEST_CAUTION = 0.35, 0.15
 """Share of the low end that bends ahead and drive forces do not use, over the width of the interval relative to its
 high end; at most. Brakes use the low end."""
-EVIDENCE_SHARE = 0.3
+EVIDENCE_SHARE = 0.2
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
+SURPRISE_TIME = 5.0
+"""s, over which larger innovations than assumed are noticed: samples then count less."""
 FRICTION_INNOVATION_BOUND = 3.0
 """Standard deviations up to which an innovation counts."""
 VELOCITY_ERROR, YAW_RATE_ERROR, ACCELERATION_ERROR = 0.05, 0.01, 0.2
@@ -411,14 +414,19 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     memory.used = max(sure / GRAVITY, 0.0)
     is_excited = abs(memory.pull) > EXCITED_SHARE * memory.low * GRAVITY
     memory.friction_age = 0.0 if is_excited else memory.friction_age + distance
-    tells = abs(memory.pull) > TELLING_SHARE * memory.low * GRAVITY
+    best = -math.inf
     for h in bank:
         if memory.running < 0.5:
             _begin_filter(h, yaw_rate, knowledge)
+            h.evidence = 0.0
         else:
-            evidence = _correct(h, memory.angle, sample, motion, estimate.variances, c)
-            h.score += EVIDENCE_SHARE * evidence if tells else 0.0
+            h.evidence = _correct(h, memory.angle, sample, motion, estimate.variances, c)
             _bound(h, speed, yaw_rate, knowledge)
+        best = max(best, h.evidence)
+    memory.surprise += step / SURPRISE_TIME * (-2.0 * best - memory.surprise)
+    if abs(memory.pull) > TELLING_SHARE * memory.low * GRAVITY:
+        for h in bank:
+            h.score += EVIDENCE_SHARE * h.evidence / max(memory.surprise, 1.0)
     memory.running = 1.0
     _weigh(distance, memory, estimate)
 
@@ -430,7 +438,7 @@ _Steering = record("Steering", ("steering_lag", "steering_rate", "steering_limit
 def begin_friction(estimate):
     """Begin an estimate within its interval: hypotheses evenly from end to end."""
     memory, bank, low, high = estimate.memory[0], estimate.bank, estimate.low, estimate.high
-    memory.running, memory.used, memory.pull, memory.friction_age = 0.0, 0.0, 0.0, math.inf
+    memory.running, memory.used, memory.pull, memory.surprise, memory.friction_age = 0.0, 0.0, 0.0, 1.0, math.inf
     memory.friction, memory.low, memory.high = 0.5 * (low + high), low, high
     memory.angle, memory.age, memory.yaw_rate, memory.along, memory.lateral_velocity = 0.0, 0.0, 0.0, 0.0, 0.0
     per = _shapes(estimate)
