@@ -139,7 +139,9 @@ class SpeedCommand(NamedTuple):
     limited_by: SpeedLimit
     friction_low: float = math.nan
     friction_high: float = math.nan
-    """-: ends of the interval of the friction, as narrowed so far"""
+    """-: ends of the interval of the friction, as narrowed so far; low: largest steady lateral acceleration over g"""
+    friction_age: float = math.nan
+    """m, way since the tyres last showed the friction, at most 300 m: from there on the interval is the assumed one"""
     throttle: float = math.nan
     brake: float = math.nan
     """-, pedal positions (0 to 1) that give force and hold; NaN without a `PedalMap`"""
@@ -441,12 +443,12 @@ class SpeedController:
         """Requests in force."""
         row, pedals = np.empty(len(SPEED_REQUEST)), self.control.pedals or self.control.car.pedals
         tracked_kernel.write_requests(self.record, row, 0)
-        acceleration, force, hold, target_speed, grip_used, state, cause, low, high = row.tolist()
+        acceleration, force, hold, target_speed, grip_used, state, cause, low, high, age = row.tolist()
         positions = (math.nan, math.nan)
         if pedals is not None:
             positions = pedals.positions(force, float(self.record.memory[0].speed), hold)
         return SpeedCommand(
-            acceleration, force, hold, target_speed, grip_used, _STATES[int(state)], _LIMITS[int(cause)], low, high,
+            acceleration, force, hold, target_speed, grip_used, _STATES[int(state)], _LIMITS[int(cause)], low, high, age,
             *positions,
         )  # fmt: skip
 

@@ -77,11 +77,12 @@ FRICTION_MEMORY = record(
     "FrictionMemory",
     (
         "running",  # 1 while the filters follow the motion
-        "friction", "low", "high",  # -, mean and ends of the interval
+        "friction", "low", "high",  # -, mean and ends of the interval; the low one as largest steady a_y over g
+        "least",  # -, low end as friction of the tyres, of which `low` is what a bend can use
         "surprise",  # -, mean of the squared innovations over what is assumed of them, of the best filter
-        "friction_age",  # m, since the tyres were last excited
+        "age",  # m, since the tyres were last excited, at most `RETURN_DISTANCE`
         "used",  # -, friction that the tyres certainly use at present
-        "angle", "age",  # rad, s: wheels and age of the last sample
+        "angle", "sample_age",  # rad, s: wheels and age of the last sample
         "yaw_rate", "along",  # rad/s, last measured; m/s^2, acceleration that has moved the load
         "pull",  # m/s^2, used acceleration over a moment
         "lateral_velocity",  # m/s, mean of the filters
@@ -325,13 +326,15 @@ def _weigh(distance, memory, estimate):
         mass += weight
         mean += weight * friction
     low, high = clip((1.0 - MODEL_ERROR) * low, first, last), clip((1.0 + MODEL_ERROR) * high, first, last)
-    left = clip((RETURN_DISTANCE - memory.friction_age) / RETURN_DISTANCE, 0.0, 1.0)
+    left = clip(1.0 - memory.age / RETURN_DISTANCE, 0.0, 1.0)
     if left == 0.0:
         _forget(estimate)
     low, high = first + left * (low - first), last + left * (high - last)
-    rising = clip(distance / RISE_DISTANCE, 0.0, 1.0) if memory.friction_age == 0.0 else 0.0
-    memory.low += (low - memory.low) * (rising if low > memory.low else 1.0)
-    memory.friction, memory.high = clip(mean / mass, memory.low, high), max(high, memory.low)
+    rising = clip(distance / RISE_DISTANCE, 0.0, 1.0) if memory.age == 0.0 else 0.0
+    memory.least += (low - memory.least) * (rising if low > memory.least else 1.0)
+    memory.friction, memory.high = clip(mean / mass, memory.least, high), max(high, memory.least)
+    slope = (bank[bank.size - 1].grip - bank[0].grip) / (last - first)
+    memory.low = max(first, bank[0].grip + slope * (memory.least - first))
 
 
 @inlined
@@ -370,8 +373,8 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     c = unpack(estimate.car)
     if bank.size < 2 or c.tyre_linear > 0.5 or sample.speed != sample.speed:
         return
-    step = clip(period + memory.age - sample.age, 0.1 * period, 2.0 * period)
-    memory.age = sample.age
+    step = clip(period + memory.sample_age - sample.age, 0.1 * period, 2.0 * period)
+    memory.sample_age = sample.age
     rate = c.steering_rate
     reach = commands.size - 1
     substep = step / SUBSTEPS
@@ -412,8 +415,8 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     memory.pull += share * (used - memory.pull)
     sure = (1.0 - USED_SCALE) * abs(memory.pull) - side / total - USED_SIGMAS * sqrt(variance / total) - USED_ERROR
     memory.used = max(sure / GRAVITY, 0.0)
-    is_excited = abs(memory.pull) > EXCITED_SHARE * memory.low * GRAVITY
-    memory.friction_age = 0.0 if is_excited else memory.friction_age + distance
+    is_excited = abs(memory.pull) > EXCITED_SHARE * memory.least * GRAVITY
+    memory.age = 0.0 if is_excited else min(memory.age + distance, RETURN_DISTANCE)
     best = -math.inf
     for h in bank:
         if memory.running < 0.5:
@@ -424,7 +427,7 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
             _bound(h, speed, yaw_rate, knowledge)
         best = max(best, h.evidence)
     memory.surprise += step / SURPRISE_TIME * (-2.0 * best - memory.surprise)
-    if abs(memory.pull) > TELLING_SHARE * memory.low * GRAVITY:
+    if abs(memory.pull) > TELLING_SHARE * memory.least * GRAVITY:
         for h in bank:
             h.score += EVIDENCE_SHARE * h.evidence / max(memory.surprise, 1.0)
     memory.running = 1.0
@@ -438,9 +441,9 @@ _Steering = record("Steering", ("steering_lag", "steering_rate", "steering_limit
 def begin_friction(estimate):
     """Begin an estimate within its interval: hypotheses evenly from end to end."""
     memory, bank, low, high = estimate.memory[0], estimate.bank, estimate.low, estimate.high
-    memory.running, memory.used, memory.pull, memory.surprise, memory.friction_age = 0.0, 0.0, 0.0, 1.0, math.inf
-    memory.friction, memory.low, memory.high = 0.5 * (low + high), low, high
-    memory.angle, memory.age, memory.yaw_rate, memory.along, memory.lateral_velocity = 0.0, 0.0, 0.0, 0.0, 0.0
+    memory.running, memory.used, memory.pull, memory.surprise, memory.age = 0.0, 0.0, 0.0, 1.0, RETURN_DISTANCE
+    memory.friction, memory.low, memory.high, memory.least = 0.5 * (low + high), low, high, low
+    memory.angle, memory.sample_age, memory.yaw_rate, memory.along, memory.lateral_velocity = 0.0, 0.0, 0.0, 0.0, 0.0
     per = _shapes(estimate)
     for i in range(bank.size):
         bank[i].friction = low + (high - low) * (i // per) / max(bank.size // per - 1, 1)
@@ -487,7 +490,7 @@ def narrow_friction(measured, speed, command, learned, longitudinal):
     bank = longitudinal.path.bank[cell_at(control.station, longitudinal.path)]
     estimate_friction(sample, _knowledge(learned, estimate), force, bank, estimate)
     slope = (settings.friction_high - settings.friction) / (last - first)
-    caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.low) / memory.high, LARGEST_CAUTION)
-    control.friction = settings.friction + slope * (memory.low - first)
+    caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.least) / memory.high, LARGEST_CAUTION)
+    control.friction = settings.friction + slope * (memory.least - first)
     control.cautious_friction = caution * control.friction
     control.friction_high = settings.friction + slope * (memory.high - first)
