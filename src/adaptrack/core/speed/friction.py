@@ -302,21 +302,34 @@ def _bound(h, speed, yaw_rate, knowledge):
 
 
 @inlined
+def _follow(best, h):
+    """Give a filter the state of the best one, so that it is right at once when its friction comes."""
+    for i in range(_COUNT):
+        h.x[i] = best.x[i]
+        for j in range(_COUNT):
+            h.covariance[i, j] = best.covariance[i, j]
+
+
+@inlined
 def _weigh(distance, memory, estimate):
     """Turn scores into weights of the frictions, each with the best of its shapes, and find the interval."""
     bank, per = estimate.bank, _shapes(estimate)
-    count, best, total = bank.size // per, -math.inf, 0.0
-    for h in bank:
-        if h.grip < memory.used:
-            h.score -= distance  # less than what the tyres use
-        best = max(best, h.score)
+    count, best, total, likeliest = bank.size // per, -math.inf, 0.0, 0
+    for i in range(bank.size):
+        if bank[i].grip < memory.used:
+            bank[i].score -= distance  # less than what the tyres use
+        if bank[i].score > best:
+            best, likeliest = bank[i].score, i
     for i in range(count):
         total += exp(_best_score(i * per, per, bank) - best)
     mass, mean = 0.0, 0.0
     first, last = bank[0].friction, bank[bank.size - 1].friction
     spacing, low, high = (last - first) / max(count - 1, 1), first, last
     for h in bank:
-        h.score = max(h.score - best - log(total), LEAST_SCORE)
+        h.score -= best + log(total)
+        if h.score < LEAST_SCORE:
+            h.score = LEAST_SCORE
+            _follow(bank[likeliest], h)
     for i in range(count):
         friction, weight = bank[i * per].friction, exp(_best_score(i * per, per, bank))
         if mass < TAIL <= mass + weight:
