@@ -84,7 +84,9 @@ class Fleet:
         if exact:
             self.transfers = np.zeros(count, bool)
         # the file's stiffness over the true one; the true balance
-        wrong = np.where((rng.random(count) < 1 / 3) | exact, 1.0, np.exp(rng.uniform(-1.0, 1.0, count) * math.log(1.5)))
+        wrong = np.where(
+            (rng.random(count) < 1 / 3) | exact, 1.0, np.exp(rng.uniform(-1.0, 1.0, count) * math.log(1.5))
+        )
         balance = np.exp((0.0 if exact else 0.05) * rng.standard_normal(count))
         self.stiffness = np.array([[car.stiffness_front, car.stiffness_rear] for car in vehicles])[self.car].T / wrong
         self.stiffness *= np.array([np.sqrt(balance), 1.0 / np.sqrt(balance)])
@@ -125,10 +127,14 @@ class Fleet:
         square = np.minimum(grip / np.maximum(np.abs(curvature), 1e-4), 27.0**2)
         most = np.minimum(3.0, 0.45 * grip)
         for j in range(WAY - 2, -1, -1):
-            left = most[:, j] * np.sqrt(np.maximum(1.0 - (square[:, j + 1] * np.abs(curvature[:, j]) / grip[:, j]) ** 2, 0.05))
+            left = most[:, j] * np.sqrt(
+                np.maximum(1.0 - (square[:, j + 1] * np.abs(curvature[:, j]) / grip[:, j]) ** 2, 0.05)
+            )
             square[:, j] = np.minimum(square[:, j], square[:, j + 1] + 2.0 * left)
         for j in range(1, WAY):
-            left = most[:, j] * np.sqrt(np.maximum(1.0 - (square[:, j - 1] * np.abs(curvature[:, j]) / grip[:, j]) ** 2, 0.05))
+            left = most[:, j] * np.sqrt(
+                np.maximum(1.0 - (square[:, j - 1] * np.abs(curvature[:, j]) / grip[:, j]) ** 2, 0.05)
+            )
             square[:, j] = np.minimum(square[:, j], square[:, j - 1] + 1.4 * left)
         x = np.arange(WAY)
         phase, length = rng.uniform(0, 2 * math.pi, (self.count, 1)), rng.uniform(150, 500, (self.count, 1))
@@ -175,7 +181,14 @@ class Fleet:
     def begin(self, speed: Array) -> None:
         """Put all cars at rest sideways, at a speed (m/s)."""
         zeros = np.zeros(self.count)
-        self.x, self.y, self.yaw, self.vx, self.vy, self.r = zeros, zeros, zeros, speed.copy(), zeros.copy(), zeros.copy()
+        self.x, self.y, self.yaw, self.vx, self.vy, self.r = (
+            zeros,
+            zeros,
+            zeros,
+            speed.copy(),
+            zeros.copy(),
+            zeros.copy(),
+        )
         self.wheel, self.force, self.ax, self.ay, self.felt_x, self.felt_y = (zeros.copy() for _ in range(6))
         self.slips = np.zeros((2, self.count))
         self.commands, self.requests, self.gusts = [zeros] * 8, [zeros] * 8, self.wind.copy()
@@ -363,7 +376,9 @@ def drive_closed(fleet: Fleet, told: tuple[float, float], share: float, seed: in
         roads.append(road)
     fleet.begin(np.full(n, 8.0))
     starts = [road.at(0.0) for road in roads]
-    fleet.x, fleet.y, fleet.yaw = (np.array([float(getattr(p, name)) for p in starts]) for name in ("x", "y", "heading"))
+    fleet.x, fleet.y, fleet.yaw = (
+        np.array([float(getattr(p, name)) for p in starts]) for name in ("x", "y", "heading")
+    )
     rows: dict[str, list[Array]] = {}
     lost, done = np.zeros(n, bool), np.zeros(n, bool)
     for k in range(round(SECONDS / PERIOD)):

@@ -324,7 +324,9 @@ def friction_estimate(control: SpeedControl, period: float, controller: Controll
     if belief is not None and low < high:
         hypotheses, commands = FRICTION_COUNT, math.ceil(LONGEST_STEERING_DELAY / period) + 1
         rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
-        plant = pack_plant(control.car, load_tyre(control.car.tyre), SteeringActuator(**{**belief.steering, "rate": rate}))
+        plant = pack_plant(
+            control.car, load_tyre(control.car.tyre), SteeringActuator(**{**belief.steering, "rate": rate})
+        )
         estimator = getattr(controller, "estimator", None)
         filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
         variances = filtering.variances()[FRICTION_SENSORS]

@@ -120,9 +120,9 @@ RISE_DISTANCE = 80.0
 WIDTH_CAUTION, LARGEST_CAUTION = 0.35, 0.15
 """Share of the low end that bends ahead and drive forces do not use, over the width of the interval relative to its
 high end; at most. Brakes use the low end."""
-EVIDENCE_SHARE = 0.2
+EVIDENCE_SHARE = 0.15
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
-SURPRISE_TIME = 5.0
+SURPRISE_TIME, LEAST_SURPRISE = 5.0, 0.3
 """s, over which larger innovations than assumed are noticed: samples then count less."""
 FRICTION_INNOVATION_BOUND = 3.0
 """Standard deviations up to which an innovation counts."""
@@ -442,7 +442,7 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     memory.surprise += step / SURPRISE_TIME * (-2.0 * best - memory.surprise)
     if abs(memory.pull) > TELLING_SHARE * memory.least * GRAVITY:
         for h in bank:
-            h.score += EVIDENCE_SHARE * h.evidence / max(memory.surprise, 1.0)
+            h.score += EVIDENCE_SHARE * h.evidence / max(memory.surprise, LEAST_SURPRISE)
     memory.running = 1.0
     _weigh(distance, memory, estimate)
 
