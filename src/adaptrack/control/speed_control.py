@@ -468,8 +468,8 @@ class SpeedController:
         if pedals is not None:
             positions = pedals.positions(force, float(self.record.memory[0].speed), hold)
         return SpeedCommand(
-            acceleration, force, hold, target_speed, grip_used, _STATES[int(state)], _LIMITS[int(cause)], low, high, age,
-            *positions,
+            acceleration, force, hold, target_speed, grip_used, _STATES[int(state)], _LIMITS[int(cause)], low, high,
+            age, *positions,
         )  # fmt: skip
 
     @property
