@@ -36,7 +36,7 @@ def _estimate(low: float, high: float, shape: float = 0.0) -> kernel.FrictionEst
     estimate = kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(14), np.zeros(8),
         pack_plant(CAR, load_tyre(CAR.tyre), actuator), PERIOD,
-        np.array([math.inf, 1e-5, 0.01]), low, high, shape, KNOWLEDGE,
+        np.array([math.inf, 1e-5, 0.01]), low, high, shape, 0.0, KNOWLEDGE,
     )  # fmt: skip
     kernel.begin_friction(estimate)
     return estimate

@@ -334,6 +334,7 @@ def friction_estimate(control: SpeedControl, period: float, controller: Controll
     return friction_kernel.FrictionEstimate(
         friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(hypotheses),
         np.zeros(commands), plant, period, variances, low, high, control.shape,
+        friction_kernel.CERTAIN_RESERVE if "drive_front" in control.car.estimated else 0.0,
         LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | knowledge),
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ import math
 
 from ..estimators.extended_kalman import bounded, carry, correct, scatter, step_motion
 from ..estimators.friction_wind import steered
-from ..estimators.learning import memory_of
+from ..estimators.learning import LEARNING_BELIEF, memory_of
 from ..kernel import columns, exported, fields_of, float64, inlined, local, record, rows, vector, void
 from ..maths.bits import whole
 from ..maths.exact import clip, floor, sqrt, square
@@ -95,7 +95,7 @@ FrictionEstimate = record(
     (
         ("memory", rows(FRICTION_MEMORY)), ("bank", rows(FRICTION_HYPOTHESIS)), ("commands", vector), ("car", vector),
         PERIOD_FIELD, ("variances", vector), ("low", float64), ("high", float64), ("shape", float64),
-        ("knowledge", LearnedRow),
+        ("reserve", float64), ("knowledge", LearnedRow),
     ),
 )  # fmt: skip
 """An estimate: hypotheses, ascending, none of a friction that is certain; commands that were sent (rad), the latest
@@ -120,6 +120,9 @@ RISE_DISTANCE = 80.0
 WIDTH_CAUTION, LARGEST_CAUTION = 0.35, 0.15
 """Share of the low end that bends ahead and drive forces do not use, over the width of the interval relative to its
 high end; at most. Brakes use the low end."""
+CERTAIN_RESERVE = 0.1
+"""Share of a friction that is certain which bends ahead and drive forces do not use while the steering is learned, or
+the driven axle is assumed."""
 EVIDENCE_SHARE = 0.15
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
 SURPRISE_TIME, LEAST_SURPRISE = 5.0, 0.3
@@ -484,15 +487,18 @@ def narrow_friction(measured, speed, command, learned, longitudinal):
     """Narrow the friction of a speed control (`tracker.longitudinal.Longitudinal`) within that of its settings.
 
     measured: `MEASUREMENT` at a speed (m/s); command: rad, sent in the last period; learned: memory of a learner, empty
-    without one. A friction that is certain stays.
+    without one. A friction that is certain stays, with a reserve while a learner's steering is not known.
     """
     estimate, settings, control = longitudinal.friction, longitudinal.settings, longitudinal.memory[0]
     memory, hypotheses = estimate.memory[0], estimate.bank
+    if not estimate.low < estimate.high:
+        is_learning = learned.size > 0 and memory_of(learned, 0).beliefs.belief_state == LEARNING_BELIEF
+        reserve = CERTAIN_RESERVE if is_learning else estimate.reserve
+        control.cautious_friction = (1.0 - reserve) * settings.friction
+        return
     if hypotheses.size < 2:
         return
     first, last = hypotheses[0].friction, hypotheses[hypotheses.size - 1].friction
-    if not first < last:
-        return
     age = measured[MEASUREMENT.motion_age]
     sample = FrictionSample(
         speed, measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.vy], measured[MEASUREMENT.lateral_acceleration],
