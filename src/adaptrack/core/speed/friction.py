@@ -123,7 +123,7 @@ high end; at most. Brakes use the low end."""
 CERTAIN_RESERVE = 0.1
 """Share of a friction that is certain which bends ahead and drive forces do not use while the steering is learned, or
 the driven axle is assumed."""
-EVIDENCE_SHARE = 0.15
+EVIDENCE_SHARE = 0.12
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
 SURPRISE_TIME, LEAST_SURPRISE = 5.0, 0.3
 """s, over which larger innovations than assumed are noticed: samples then count less."""
