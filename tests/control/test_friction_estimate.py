@@ -72,7 +72,7 @@ def _drive(friction: float, control: SpeedControl, seconds: float) -> SpeedContr
 def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_roads() -> None:
     intervals = []
     for friction in (0.5, 0.9):
-        command = _drive(friction, SpeedControl(CAR, friction=(LOW, HIGH)), 20.0).command
+        command = _drive(friction, SpeedControl(CAR, friction=(LOW, HIGH), tyre_shape="file"), 20.0).command
         assert command.friction_low <= friction <= command.friction_high
         intervals.append((command.friction_low, command.friction_high))
     slippery, dry = np.array(intervals)
@@ -259,3 +259,14 @@ def test_the_slope_of_a_brush_is_that_of_its_curve_at_the_used_share() -> None:
     for slip in (0.0, 0.01, 0.05, 0.09):
         force, slope = tyre.force_and_slope(slip, law)
         assert tyre.brush_slope(force / 3200.0) == pytest.approx(slope / 1e5, abs=1e-9)
+
+
+@pytest.mark.compiled
+def test_a_certain_friction_keeps_a_reserve_while_the_steering_is_learned_or_the_driven_axle_is_assumed() -> None:
+    control = SpeedControl(CAR, friction=0.6)
+    assumed = SpeedControl(CAR.replace(estimated=(*CAR.estimated, "drive_front")), friction=0.6)
+    for speed_control, expected in ((control, 0.0), (assumed, kernel.CERTAIN_RESERVE)):
+        controller = _drive(0.9, speed_control, 1.0)
+        memory, friction = controller.record.memory[0], controller.record.settings.friction
+        assert memory.cautious_friction == pytest.approx((1.0 - expected) * friction, rel=1e-12)
+        assert memory.friction == friction

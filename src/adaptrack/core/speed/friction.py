@@ -108,7 +108,7 @@ LEAST_SPEED = 4.0
 """m/s, below which the filters wait."""
 TAIL = 0.05
 """Probability outside either end of the interval."""
-MODEL_ERROR = 0.05
+MODEL_ERROR = 0.03
 """Of the friction, by which the model of the car widens the interval to either side."""
 RETURN_DISTANCE, EXCITED_SHARE, TELLING_SHARE = 300.0, 0.7, 0.4
 """m without excitation, over which the interval returns to what was told; -, used shares of the low end: that excites;
