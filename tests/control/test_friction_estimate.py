@@ -188,6 +188,11 @@ CURVES: dict[str, Callable[[float], float]] = {
 """Lateral force over friction times load; x: stiffness times slip over friction times load."""
 
 
+def _flattened(x: float) -> float:
+    """A wave with flat tops."""
+    return min(max(2.0 * x, -1.0), 1.0)
+
+
 def _weave(friction: float, curve: Callable[[float], float], estimate: kernel.FrictionEstimate, share: float) -> Any:
     """Ends of the interval in bends to both sides, at a share of the grip, on tyres whose load does not move."""
     wheels, vy, r, speed, step, weight = 0.0, 0.0, 0.0, 20.0, PERIOD / 25.0, CAR.mass * GRAVITY / CAR.wheelbase
@@ -195,8 +200,8 @@ def _weave(friction: float, curve: Callable[[float], float], estimate: kernel.Fr
     grip, random = friction * GRAVITY, np.random.default_rng(1)
     sent, ends = [0.0] * 2, []
     for k in range(1200):
-        wanted = share * grip / speed * _flattened(math.sin(2.0 * math.pi * k / 160.0))
-        sent = [0.2 * (wanted - r) + wanted * CAR.wheelbase / speed, sent[0]]
+        demand = share * grip / speed * _flattened(math.sin(2.0 * math.pi * k / 160.0))
+        sent = [0.2 * (demand - r) + demand * CAR.wheelbase / speed, sent[0]]
         for _ in range(25):
             wheels += step / KNOWLEDGE.lag * (sent[1] - wheels)
             slips = wheels - (vy + CAR.lf * r) / speed, -(vy - CAR.lr * r) / speed
@@ -213,11 +218,6 @@ def _weave(friction: float, curve: Callable[[float], float], estimate: kernel.Fr
             )
         )  # fmt: skip
     return np.array(ends)
-
-
-def _flattened(x: float) -> float:
-    """A wave with flat tops."""
-    return min(max(2.0 * x, -1.0), 1.0)
 
 
 @pytest.mark.compiled
