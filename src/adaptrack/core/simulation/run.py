@@ -305,7 +305,7 @@ def control_planned_speed(run):
     drive, measured, learned = run.memory.drives[0], run.measured[0], run.controller.mpc.informed.learned[0]
     sample, memory = longitudinal.sample[0], longitudinal.memory[0]
     narrow_friction(measured, drive.speed, drive.command, learned, longitudinal)
-    measured[MEASUREMENT.friction] = longitudinal.friction.memory[0].low
+    measured[MEASUREMENT.friction] = longitudinal.friction.memory[0].least
     sample.station, sample.station_age, sample.offset = drive.station_estimate, 0.0, 0.0
     sample.speed, sample.speed_age, sample.is_guided, sample.periods = drive.speed, 0.0, 1.0, 1.0
     sample.yaw_rate = measured[MEASUREMENT.yaw_rate]

@@ -170,6 +170,7 @@ def write_requests(longitudinal, row, first):
     _write_memory(row, first, longitudinal.memory[0])
     friction = longitudinal.friction.memory[0]
     row[first + SPEED_REQUEST.friction_low], row[first + SPEED_REQUEST.friction_high] = friction.low, friction.high
+    row[first + SPEED_REQUEST.friction_age] = friction.age
 
 
 @inlined
@@ -236,7 +237,7 @@ def narrow_tracked_friction(tracker, learned, longitudinal):
     if m.instant == 0:
         longitudinal.friction.memory[0].running = 0.0
     narrow_friction(tracker.measured, forward(m), m.command, learned, longitudinal)
-    tracker.measured[MEASUREMENT.friction] = longitudinal.friction.memory[0].low
+    tracker.measured[MEASUREMENT.friction] = longitudinal.friction.memory[0].least
 
 
 @exported(void(Place(TrackerRecord), Place(Longitudinal)))
