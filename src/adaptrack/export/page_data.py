@@ -84,6 +84,7 @@ from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
+from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.informed import order_of
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.control.speed_control import (
@@ -117,7 +118,7 @@ from adaptrack.core.tracker.longitudinal import Longitudinal
 from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
 from adaptrack.drive.world import World
 from adaptrack.export.page_inputs import car_fields, page_car, plain
-from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
+from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, page_road
 from adaptrack.road import Comfort, Line, Road
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.road.speed import PLAN_SPACING
@@ -131,12 +132,10 @@ RECORDS = (
     speed_path.PlanArrays,
 )  # fmt: skip
 """What the engine lays into memory."""
-CONTROLLER_KINDS = {
-    "informed": "informed MPC", "learning": "informed MPC + learning", "published": "the paper's MPC",
-    "published-nn": "the paper's MPC, scheduled by networks", "published-anfis": "the paper's MPC, scheduled by ANFIS",
-    "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
-}  # fmt: skip
-"""Descriptions of the controllers on the page, by name."""
+CONTROLLER_KINDS = (
+    "informed", "learning", "published", "published-nn", "published-anfis", "pure-pursuit", "stanley", "lqr",
+)  # fmt: skip
+"""Names of the controllers on the page."""
 INPUTS = columns(
     Field("lag", "s", 0.0, "The true lag", "[0, 1]"),
     Field("dead_time", "s", 0.0, "The true dead time", "[0, 1]"),
@@ -231,10 +230,9 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
             "choose the informed MPC."
         }
     base = kind if kind in MADE_BY else base
-    controller, numbers = controller_of({"kind": base}, _any_car(), world), controller_numbers(base, profile)
+    controller, numbers = page_controller(base, _any_car(), world), controller_numbers(base, profile)
     return {
-        **numbers, "words": CONTROLLER_KINDS[kind],
-        "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
+        **numbers, "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
         "diagnostics": list(controller.diagnostic_names), "tuning_names": list(controller.tuning_names),
         "usual": dict(zip(controller.tuning_names, controller.packed_tuning().tolist(), strict=True)),
     }  # fmt: skip
@@ -343,6 +341,17 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
     for part in CAR_FIELDS:
         del left[part]
     return {"order": left, "settings": _other_settings(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
+
+
+def page_controller(kind: str, car: Vehicle, profile: Profile) -> Controller:
+    """A controller of the page by its name (`CONTROLLER_KINDS`), with its default tuning, for a car in a profile."""
+    loop = {"period": profile.period, "preview": profile.preview}
+    base, _, scheduled = kind.partition("-")
+    if kind in MADE_BY:
+        return MADE_BY[kind][0](car, **loop)
+    if base == "published":
+        return published_mpc(car, scheduler=load_scheduler(f"road-{scheduled}") if scheduled else None, **loop)
+    return MPC(car, profile=profile, learning=Learning() if kind == "learning" else "auto")
 
 
 def _any_car() -> Vehicle:

@@ -29,10 +29,10 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 from adaptrack.core import library
 from adaptrack.drive.world import World
-from adaptrack.export.page_data import CONTROLLER_KINDS, INPUTS, page_data
+from adaptrack.export.page_data import CONTROLLER_KINDS, INPUTS, page_controller, page_data
 from adaptrack.export.page_inputs import MAX_PAGE_POINTS, page_car
-from adaptrack.export.page_setup import PAGE_ROADS, controller_of, drive_of
-from adaptrack.road import check_road, load_road
+from adaptrack.export.page_setup import PAGE_ROADS, road_of
+from adaptrack.road import Comfort, check_road, load_road, plan_speed
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -41,8 +41,6 @@ ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
 FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
-MAX_PAGE_SIZE = 3_000_000
-"""bytes of a page"""
 ROAD_SPACING = 2.0
 """m, between the points of a road from a file"""
 SPEED_WORDS = {"constant": "speed (m/s)", "lateral": "lateral_acceleration (m/s^2)"}
@@ -165,15 +163,15 @@ def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle) -> None:
     if not low <= speed <= high:
         raise InvalidInput(f"export_page: {SPEED_WORDS[kind]} = {speed!r}: the page drives {low:g} to {high:g}.")
     profile = load_profile(setup["profile"])
-    drive = drive_of(setup, car)
-    assert isinstance(drive, RoadDrive)
-    for finding in check_road(drive.road, car, drive.plan):
+    road = road_of(setup["road"])
+    plan = RoadDrive(road, speed if kind == "constant" else plan_speed(road, car, Comfort(lateral=speed))).plan
+    for finding in check_road(road, car, plan):
         if not finding.drivable:
             place = f"{setup['road']['name']}, s = {finding.start:.0f} to {finding.end:.0f} m"
             raise InvalidInput(f"export_page: {place}: {finding.text}. Choose another road, car or speed.")
     with _quiet():
         for controller in setup["controllers"]:
-            World.of(DualTrack(car), controller_of(controller, car, profile), profile, None, None, None)
+            World.of(DualTrack(car), page_controller(controller["kind"], car, profile), profile, None, None, None)
 
 
 def _check_name(kind: str, name: str, names: Iterable[str]) -> str:

@@ -105,7 +105,7 @@ static int is_of(const char *token, const void *constants, size_t size) {
 }
 
 /* -- an instance -------------------------------------------------------------------------------------------------- */
-/* The words of the constants (adaptrack.export.image): those of the memory, where its state begins, places and links,
+/* The words of the constants (adaptrack.export.fmu): those of the memory, where its state begins, places and links,
    then which word holds which address, and the memory. */
 enum { WORDS = ADAPTRACK_FILE_HEAD, STATE, PLACES, LINKS, FIXES, HEAD_WORDS = sizeof(adaptrack_head) / 8 };
 

@@ -182,7 +182,6 @@ function started(id, { world, of, samples, cars, car }) {
     plan: plan && { s: plan.s.values.slice(), speed: plan.speed.values.slice() },
     cars: cars.map((entry) => ({
       name: entry.entry.kind,
-      words: entry.controller.known.words,
       columns: entry.columns,
       horizon: entry.horizon,
       moves: entry.moves,
