@@ -27,14 +27,13 @@ from adaptrack.analysis.linearisation import (
     linear_estimator,
     linear_plants,
     linearised,
-    sampled,
     sensed,
 )
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
 from adaptrack.cars.vehicle import Domain, Vehicle
-from adaptrack.control.controllers import MPC, Tuning
+from adaptrack.control.controllers import MPC
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
@@ -78,31 +77,6 @@ def _measured(plant: Sampled, law: LinearControllers) -> Array:
             "(SensorNoise: inf); a wheel angle is a state where the steering has a lag (0.001 s will do)."
         )
     return plant.c
-
-
-def closed_loop(
-    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, profile: str | Profile = "paper",
-    **options: float,
-) -> Array:  # fmt: skip
-    """Return the closed-loop matrix over one control period.
-
-    Its state is that of `sampled`, then that of `linear_estimator`. A `tuning` of None is the MPC's own. The options
-    are those of `sampled`: `friction`, `lateral_acceleration` (m/s^2), and `delay` (s), an additional dead time of the
-    commands.
-    """
-    linear = sampled(plant, mpc.period, speed, profile=profile, **options)
-    estimator = linear_estimator(mpc, speed, SampleAges.of(profile))
-    return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array(), estimator))[0]
-
-
-def spectral_radius(plant: Plant, mpc: MPC, speed: float, **options: Any) -> float:
-    """Return the spectral radius of `closed_loop`, with its options; the loop is stable if it is less than 1."""
-    return float(radii(closed_loop(plant, mpc, speed, **options)))
-
-
-def radii(matrices: Array) -> Array:
-    """Return the spectral radius of each matrix (..., n, n)."""
-    return portable.spectral_radius(matrices)
 
 
 # -- margins ----------------------------------------------------------------------------------------------------------
@@ -172,7 +146,7 @@ def modulus_margin(plant: Sampled, law: LinearControllers, angles: ArrayLike = _
     the loop is stable for factors on its commands from 1/(1 + m) to 1/(1 - m). At most 1. An unstable loop has the
     negative value -10 (spectral radius - 1), so that tables can be interpolated across the limit.
     """
-    return _modulus_margin(loop_gain(plant, law, angles), radii(loops(plant, law)))
+    return _modulus_margin(loop_gain(plant, law, angles), portable.spectral_radius(loops(plant, law)))
 
 
 def _modulus_margin(gains: Complex, radius: Array) -> Array:
@@ -188,7 +162,7 @@ def margins(plant: Sampled, law: LinearControllers, period: float) -> Margins:
     frequencies.
     """
     gains = loop_gain(plant, law)
-    radius = radii(loops(plant, law))
+    radius = portable.spectral_radius(loops(plant, law))
     stable = radius < 1.0
     factor, delay = _critical_factors(gains), _critical_delays(gains, period)
     return Margins(

@@ -345,7 +345,7 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
 
 def page_controller(kind: str, car: Vehicle, profile: Profile) -> Controller:
     """A controller of the page by its name (`CONTROLLER_KINDS`), with its default tuning, for a car in a profile."""
-    loop = {"period": profile.period, "preview": profile.preview}
+    loop: dict[str, Any] = {"period": profile.period, "preview": profile.preview}
     base, _, scheduled = kind.partition("-")
     if kind in MADE_BY:
         return MADE_BY[kind][0](car, **loop)

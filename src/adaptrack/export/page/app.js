@@ -1,7 +1,7 @@
 "use strict";
 // The page: it owns the engine, the drive and the clock, and tells every other part what has changed.
 //
-//   page = {data, engine, setup, drive, clock, view}     drive: {started, history, over, busy, touched}, or null
+//   page = {data, engine, setup, drive, clock, view}     drive: {history, over, busy, touches}, or null
 //     start(setup)      a drive from its start; the setup is kept, also as the page's address
 //     advance(n)        n control periods more, as fast as they come
 //     change(car, what) a touch; car: 0, 1, or null for the world
@@ -164,7 +164,7 @@ async function begun(setup, number, plays) {
 function beginDrive(started) {
   const history = makeHistory(started, {shades: TRAIL});
   history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
-  return {started, history, busy: false, over: false, touches: []};
+  return {history, busy: false, over: false, touches: []};
 }
 
 const WHERE = {

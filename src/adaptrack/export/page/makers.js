@@ -3,7 +3,7 @@
 //   carOf(setup.car)                            -> { name, numbers, rows, outline, domain }
 //   worldOf(setup.profile, setup.truth)         -> { period, settings, actuator, ... }
 //   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
-//   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
+//   samplesOf(setup, road, car, world)          -> { signals, periods, plan, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
 //   speedControlOf(entry, car, controller, { world, of, samples, setup }, where)      -> { record, ends, grip, climb }
 //
@@ -380,7 +380,7 @@ function checked(where, name, value) {
   throw new Refusal(where, `${written.words.named[name]} is ${value}: it must be a number from ${low} to ${high}.`);
 }
 
-/** What happens at the instants: { signals, periods, plan, laps, pose, duration }. */
+/** What happens at the instants: { signals, periods, plan, pose, duration }. */
 function samplesOf(setup, of, car, world) {
   if (of.test) return samplesOfTest(of, world, setup.truth ?? {});
   const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
@@ -413,7 +413,7 @@ function samplesOf(setup, of, car, world) {
   const signals = mine(memory.array("F", [written.sizes.signals, periods + 1])), pose = mine(memory.array("F", [3]));
   memory.call("drive_samples", drive, signals);
   memory.call("drive_start", of.line, 0, 0, pose);
-  return { signals, periods, plan, laps, pose: [...pose.values], duration: periods * period };
+  return { signals, periods, plan, pose: [...pose.values], duration: periods * period };
 }
 
 const slopeOf = ({ slope }) => (slope == null ? 0 : checked("truth", "slope", slope));
@@ -436,7 +436,7 @@ function samplesOfTest(of, world, truth) {
     put(wheel, "friction", truth.friction == null ? null : checked("truth", "friction", truth.friction));
   put("wind_y", "wind", truth.wind == null ? null : checked("truth", "wind", truth.wind));
   memory.call("complete_samples", world.period, signals);
-  return { signals, periods, plan: null, laps: 1, pose: of.start, duration: periods * world.period };
+  return { signals, periods, plan: null, pose: of.start, duration: periods * world.period };
 }
 const WHEELS = ["friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right"];
 

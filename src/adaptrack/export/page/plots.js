@@ -17,7 +17,7 @@
 //                                                 the column `unless`); a second car has its
 //                                                 own colour and dashes; or: the column where there is no such one;
 //                                                 ink: a truth. A car without the first of them has no line
-//           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
+//           limits: [{value, label}] | history => [...],   drawn where within the axis
 //           band: {column, sigma, k, ratio},      value +- k sigma, or times exp(+-k sigma) (ratio)
 //           truth: name,                          in history.truth
 //           asked: true,                          shown only where `choose` names it
@@ -312,7 +312,6 @@ function makeTimePlot(spec, history, clock, window_) {
         take(edge(car, i, 1));
       }
     }
-    if (spec.reach) for (const limit of limits) take(limit.value * scale);
     return [low, high];
   }
 
