@@ -125,14 +125,14 @@ def test_the_linear_estimator_is_the_filter_with_samples_of_these_ages(ages, rng
 def test_in_a_steady_turn_nothing_changes_but_place_and_heading(plant):
     for speed, friction in product((3.0, 12.0, 30.0), (0.3, 1.0)):
         acceleration = hard_turn(speed, friction)
-        x, steering = steady_turn(plant, speed, acceleration, friction)
+        *_, x, steering = steady_turn(plant, speed, acceleration, friction)
         slope = plant.derivative(x, [steering, 0.0], [friction] * 4 + [0.0, 0.0])
         still = [i for i, name in enumerate(plant.state_names) if name not in ("X", "Y", "psi", "vx", "felt_ax")]
         np.testing.assert_allclose(slope[still], 0.0, atol=1e-6)
         assert slope[2] * speed == pytest.approx(acceleration)
         assert slope[1] == pytest.approx(0.0, abs=1e-9)  # the velocity points along X
         assert steering > 0.0
-        mirrored, opposite = steady_turn(plant, speed, -acceleration, friction)
+        *_, mirrored, opposite = steady_turn(plant, speed, -acceleration, friction)
         assert opposite == pytest.approx(-steering)
         assert mirrored[5] == pytest.approx(-x[5])
 
@@ -264,14 +264,14 @@ def test_at_its_margins_the_cars_loop_is_at_the_verge(turning, mpc):
         stable = np.flatnonzero(result.radius < 0.995)[:8]
         assert len(stable) >= 4
         for i in stable:
-            law = k[i : i + 1]
+            law = LinearControllers(k.estimator, k.k[i : i + 1])
             for factor in (result.gain_up[i], result.gain_down[i]):
-                assert spectral_radius(loops(body, law, factor))[0] == pytest.approx(1.0, abs=2e-4)
+                assert spectral_radius(loops(body._replace(b=factor * body.b), law))[0] == pytest.approx(1.0, abs=2e-4)
             for share, stays in ((0.9, True), (1.1, False)):
                 late = sampled(PLANT, 0.05, speed, **options, delay=share * result.delay[i])
                 assert (spectral_radius(loops(late, law))[0] < 1.0) is np.bool_(stays)
             for factor in np.linspace(result.gain_down[i], result.gain_up[i], 9)[1:-1]:
-                assert spectral_radius(loops(body, law, factor))[0] < 1.0
+                assert spectral_radius(loops(body._replace(b=factor * body.b), law))[0] < 1.0
 
 
 @pytest.mark.parametrize("profile", [PAPER, ROAD])

@@ -48,19 +48,18 @@ COARSE_ANGLES = portable.geomspace(2e-3, np.pi, 192)
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
-def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
+def loops(plant: Sampled, law: LinearControllers) -> Array:
     """Return the closed-loop matrices over one control period of n controllers, (n, m + q, m + q).
 
-    The loop's state is that of the plant (m,), then that of the controllers' estimator (q,). gain: factor on the
-    commands between controller and steering
+    The loop's state is that of the plant (m,), then that of the controllers' estimator (q,).
     """
     estimator, measured = law.estimator, _measured(plant, law)
     m, q = len(plant.b), len(estimator.a)
     of_z = -product(law.k, product(estimator.d, measured))  # u = of_z z + of_s s
     of_s = estimator.h - product(law.k, estimator.c)
     matrices = np.empty((len(law.k), m + q, m + q))
-    matrices[:, :m, :m] = plant.a + gain * plant.b[:, None] * of_z[:, None, :]
-    matrices[:, :m, m:] = gain * plant.b[:, None] * of_s[:, None, :]
+    matrices[:, :m, :m] = plant.a + plant.b[:, None] * of_z[:, None, :]
+    matrices[:, :m, m:] = plant.b[:, None] * of_s[:, None, :]
     matrices[:, m:, :m] = product(estimator.e, measured) + estimator.f[:, None] * of_z[:, None, :]
     matrices[:, m:, m:] = estimator.a + estimator.f[:, None] * of_s[:, None, :]
     return matrices

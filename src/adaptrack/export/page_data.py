@@ -180,7 +180,8 @@ def page_data() -> dict[str, Any]:
         "bounds": {field.name: field.ends for field in fields_of(INPUTS)},
         "words": _words(),
         "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
-        "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
+        "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(),
+        "road_defaults": _along(Road.from_segments([Line(length=10.0)])),
         "frame": list(FRAME._fields), "speed_frame": list(SPEED_FRAME._fields), "speed_control": speed_numbers(),
         "answer": list(mpc.MPC_ANSWER._fields), "beliefs": list(learning.BELIEF_NAMES),
         "no_schedule": image(no_schedule()),
@@ -209,10 +210,6 @@ def _comfort() -> dict[str, float]:
     """Bounds of a speed plan besides road and car (`core.planning.speed.SpeedBounds`)."""
     unknown = dict.fromkeys(("start", "end", "top_speed"), math.nan)
     return {**Comfort().model_dump(), **unknown, "no_limit": MAX_SPEED.most, "spacing": PLAN_SPACING}
-
-
-def _straight() -> Road:
-    return Road.from_segments([Line(length=10.0)])
 
 
 def _along(road: Road) -> dict[str, float]:

@@ -130,9 +130,9 @@ function engineDied(why) {
 }
 
 let requests = 0;
-async function start(setup, {playing = null, keepNotice = false} = {}) {
+async function start(setup, {playing = null} = {}) {
   const number = ++requests, plays = playing ?? page.clock.playing, before = page.setup;
-  if (!keepNotice) page.notice("");
+  page.notice("");
   try {
     return await begun(setup, number, plays);
   } catch (error) {
@@ -163,7 +163,7 @@ async function begun(setup, number, plays) {
 
 function beginDrive(started) {
   const history = makeHistory(started, {shades: TRAIL});
-  history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
+  history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind); });
   return {history, busy: false, over: false, touches: []};
 }
 
@@ -390,7 +390,7 @@ function showPictures() {
     page.plots.show(history);
   } else {
     page.view = makeRoadView(byId("road-canvas"), history, clock, {onpush: pushByDrag});
-    page.plots = makePlots(byId("plots"), history, clock, PLOTS, {span: 20});
+    page.plots = makePlots(byId("plots"), history, clock);
     makeTransport(byId("transport"), clock, {keys: byId("drive"), view: page.view});
     setUpLooks();
   }

@@ -149,7 +149,7 @@ function worldOf(name, truth) {
   const profile = named(written.profiles, name, "profile named");
   const { period, delay, remembered, plants, requested, speed_requests } = profile;
   const world = {
-    name, period, delay, remembered, plants, requested, speed_requests, usual: profile.settings, sees_vy: real(profile.settings.noise_vy) < Infinity,
+    name, period, delay, remembered, plants, requested, speed_requests, usual: profile.settings,
     actuator: copied("synthesis.plant.Actuator", profile.actuator), usual_actuator: profile.actuator,
     mass: 1,
     settings: Object.fromEntries(Object.entries(profile.settings).map(([key, value]) => [key, real(value)])),
