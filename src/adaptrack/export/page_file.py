@@ -14,7 +14,6 @@ import logging
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,22 +43,6 @@ FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
 ROAD_SPACING = 2.0
 """m, between the points of a road from a file"""
 SPEED_WORDS = {"constant": "speed (m/s)", "lateral": "lateral_acceleration (m/s^2)"}
-
-
-@dataclass(frozen=True)
-class PageParts:
-    """Parts of the page: markup, style, scripts, kernels and data."""
-
-    html: str
-    css: str
-    script: str
-    """of the page"""
-    engine: str
-    """script of the worker"""
-    kernels: bytes
-    """module of WebAssembly"""
-    data: dict[str, Any]
-    """Data that Python writes into the page."""
 
 
 MOST_CONTROLLERS = 2
@@ -180,22 +163,6 @@ def _check_name(kind: str, name: str, names: Iterable[str]) -> str:
     return name
 
 
-def page_parts() -> PageParts:
-    """The parts of the page, before they are packed.
-
-    Raises
-    ------
-    InvalidInput
-        Where the kernels for WebAssembly are not there.
-    """
-    remaining = {path.name for path in PAGE_SOURCES.glob("*.js")} - {*ENGINE, *FIRST_SCRIPTS, *LAST_SCRIPTS}
-    page = (*FIRST_SCRIPTS, *sorted(remaining), *LAST_SCRIPTS)
-    css = _text("viewer.css") + _text("page.css")
-    with _quiet():
-        data = page_data()
-    return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), data)
-
-
 def page_kernels() -> bytes:
     """Return the module, compiled now where it is not there.
 
@@ -239,32 +206,41 @@ def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = N
     if file.is_dir():
         raise StorageError(f"{file}: cannot be written to: is a folder; name a file.")
     try:
-        write_atomically(file, page_html(page_parts(), setup).encode())
+        write_atomically(file, page_html(setup).encode())
     except OSError as error:
         raise StorageError(f"{file}: cannot be written to: {error.strerror or error}.") from error
     return file
 
 
-def page_html(parts: PageParts, setup: Mapping[str, Any] | None = None) -> str:
-    """The page as text."""
-    data = parts.data if setup is None else {**parts.data, "setup": dict(setup)}
-    packed = {
-        "engine": parts.engine.encode(), "kernels": parts.kernels,
+def page_html(setup: Mapping[str, Any] | None = None) -> str:
+    """The page as text; setup: what it begins with.
+
+    Its Content-Security-Policy lets this script, its worker and its kernels run, and nothing be loaded from anywhere.
+
+    Raises
+    ------
+    InvalidInput
+        Where the kernels for WebAssembly are not there.
+    """
+    remaining = {path.name for path in PAGE_SOURCES.glob("*.js")} - {*ENGINE, *FIRST_SCRIPTS, *LAST_SCRIPTS}
+    script = _together((*FIRST_SCRIPTS, *sorted(remaining), *LAST_SCRIPTS))
+    css = _text("viewer.css") + _text("page.css")
+    with _quiet():
+        data = page_data() | ({} if setup is None else {"setup": dict(setup)})
+    parts = {
+        "engine": _together(ENGINE).encode(), "kernels": page_kernels(),
         "data": json.dumps(data, separators=(",", ":"), allow_nan=False).encode(),
     }  # fmt: skip
     carried = "".join(
         f'<script type="application/gzip" id="part-{name}">'
         f"{base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()}</script>\n"
-        for name, content in packed.items()
+        for name, content in parts.items()
     )
-    html = _once(parts.html, "<head>", f'<head>\n<meta http-equiv="Content-Security-Policy" content="{policy(parts)}">')
-    html = _once(html, "</head>", f"<style>\n{parts.css}</style>\n</head>")
-    return _once(html, "</body>", f"{carried}<script>{parts.script}</script>\n</body>")
-
-
-def policy(parts: PageParts) -> str:
-    """The Content-Security-Policy: this script, its worker and its kernels run, and nothing is loaded from anywhere."""
-    return content_policy([parts.script], "'wasm-unsafe-eval'", "worker-src blob:")
+    policy = content_policy([script], "'wasm-unsafe-eval'", "worker-src blob:")
+    head = f'<head>\n<meta http-equiv="Content-Security-Policy" content="{policy}">'
+    html = _once(_text("page.html"), "<head>", head)
+    html = _once(html, "</head>", f"<style>\n{css}</style>\n</head>")
+    return _once(html, "</body>", f"{carried}<script>{script}</script>\n</body>")
 
 
 def _text(name: str) -> str:
