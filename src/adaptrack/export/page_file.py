@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.base.presentation import content_policy
 from adaptrack.cars.plant import DualTrack
@@ -202,14 +202,8 @@ def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = N
     StorageError
         When it cannot be written.
     """
-    file = Path(path)
-    if file.is_dir():
-        raise StorageError(f"{file}: cannot be written to: is a folder; name a file.")
-    try:
-        write_atomically(file, page_html(setup).encode())
-    except OSError as error:
-        raise StorageError(f"{file}: cannot be written to: {error.strerror or error}.") from error
-    return file
+    write_atomically(path, page_html(setup).encode())
+    return Path(path)
 
 
 def page_html(setup: Mapping[str, Any] | None = None) -> str:
