@@ -283,7 +283,7 @@ def stability(profile: str = "road") -> None:
             estimator, straight = linearisation.EstimatorAt(mpc, speed), math.nan
             for share in (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.88, 0.95):
                 try:
-                    turn = linearisation.Steady.of(plant, speed, FRICTION, share * grip(car))
+                    turn = linearisation.steady_turn(plant, speed, share * grip(car), FRICTION)
                 except at.InvalidInput:
                     continue  # more than its steering or its tyres allow
                 sampled = linearisation.sampled_about(plant, mpc.period, turn, world)

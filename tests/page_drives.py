@@ -1,14 +1,21 @@
 """Drives of the page, and what Python drives with the same setups: for Node and for browsers."""
 
 import functools
+import math
 
 import numpy as np
 
 import adaptrack as at
+from adaptrack.control.controllers.learned_car import STEERING_QUANTITIES
 from adaptrack.core.simulation.frame import FRAME
+from adaptrack.drive.batch import Batch
+from adaptrack.drive.simulate import rollouts
 from adaptrack.export.page_inputs import page_car
-from adaptrack.export.page_setup import simulate_setup
+from adaptrack.export.page_setup import road_of
+from adaptrack.road import Comfort
 
+CLOSED_ROAD_DURATION = 3600.0
+"""s, for which a closed road is driven."""
 COLUMNS = {
     "x": "X", "y": "Y", "yaw": "psi", "vx": "vx", "vy": "vy", "yaw_rate": "yaw_rate", "wheel_angle": "steering",
     "command": "command", "command_change": "command_change", "y_ref": "y_ref", "v_ref": "v_ref",
@@ -92,6 +99,86 @@ SETUPS = {
                                    brake_lag=0.4),
     "tests, typed": _setup(TYPED, {"test": "triple-lane-change"}, {}, "road", "learning", "published-nn", wind=5.0),
 }  # fmt: skip
+
+
+def simulate_setup(setup):
+    """The drives of a setup, one for each controller."""
+    car, profile = car_of(setup["car"]), at.load_profile(setup["profile"])
+    drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
+    mass = (setup.get("truth") or {}).get("mass")
+    plant = at.DualTrack(car if mass is None else car.replace(mass=car.mass * mass))
+    runs = []
+    for controller in setup["controllers"]:
+        model_car = (
+            at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if controller.get("knows") == "sheet" else car
+        )
+        steering_controller, seed = controller_of(controller, model_car, profile), int(setup.get("seed", 0))
+        if speed_control := controller.get("speed_control"):
+            driver = at.SpeedControl(model_car, **speed_control)
+            runs.append(at.simulate(plant, steering_controller, drive, profile=world, driver=driver, seed=seed))
+        else:
+            runs += rollouts(Batch(plant, steering_controller, [drive], world), (seed,), threads=1)[0]
+    return runs
+
+
+def car_of(setup):
+    """The car of a setup."""
+    if "name" in setup:
+        return at.load_vehicle(setup["name"])
+    if "sheet" in setup:
+        return at.vehicle_from_data_sheet("sheet", **setup["sheet"])
+    file = setup["file"]
+    sections = {key: file.get(key) for key in ("steering", "body", "known_within", "domain") if file.get(key)}
+    return at.Vehicle(name=file.get("name", "file"), tyre=file["tyre"]["name"], **file["numbers"], **sections)
+
+
+def drive_of(setup, car):
+    """Return the drive of a page's setup: a road at a speed or a test of the paper, with true friction and wind."""
+    truth, road_setup = setup.get("truth") or {}, setup["road"]
+    friction, wind = truth.get("friction"), truth.get("wind")
+    if "test" in road_setup:
+        scenario = at.load_scenario(road_setup["test"])
+        changes = {} if friction is None else {"friction": friction}
+        changes |= {} if wind is None else {"wind": wind, "wind_gain": 1.0}
+        return scenario.replace(**changes) if changes else scenario
+    road, speed = road_of(road_setup), setup["speed"]
+    plan = speed["constant"] if "constant" in speed else at.plan_speed(road, car, Comfort(lateral=speed["lateral"]))
+    surface = {"friction": friction, "grade": truth.get("slope")}
+    true_road = road.replace(**{name: value for name, value in surface.items() if value is not None})
+    drive = at.RoadDrive(true_road, plan, wind=wind or 0.0)
+    return drive.replace(laps=max(1, math.floor(CLOSED_ROAD_DURATION / drive.duration))) if road.closed else drive
+
+
+def world_of(profile, truth):
+    """The simulated world: the profile with another steering and with so many times its noise."""
+    steering = {name: truth[name] for name in STEERING_QUANTITIES if truth.get(name) is not None}
+    if steering.get("lag", profile.steering.lag) == 0.0:
+        steering["rate"] = math.inf  # a rate limit acts on a lag
+    factor = 1.0 if truth.get("noise") is None else float(truth["noise"])
+    noises = {name: getattr(profile, name) for name in type(profile).model_fields if name.startswith("noise_")}
+    changed = {name: value * factor for name, value in noises.items() if math.isfinite(value)}
+    if (brake_lag := truth.get("brake_lag")) is not None:
+        changed["brakes"] = profile.brakes.replace(lag=brake_lag)
+    return profile.replace(steering=profile.steering.replace(**steering), **changed)
+
+
+def controller_of(setup, car, profile):
+    """A controller of a setup, for a car in a profile."""
+    kind, loop = setup["kind"], {"period": profile.period, "preview": profile.preview}
+    entries, believed = setup.get("tuning"), setup.get("belief")
+    tuning = None if entries is None else at.Tuning(**{**entries, "Np": int(entries["Np"]), "Nc": int(entries["Nc"])})
+    laws = {"pure-pursuit": at.PurePursuit, "stanley": at.Stanley, "lqr": at.LQR}
+    if kind in laws:
+        return laws[kind](car, **loop)
+    scheduled = kind.partition("-")[2]
+    if kind.startswith("published"):
+        scheduler = at.load_scheduler(f"road-{scheduled}") if scheduled else None
+        return at.published_mpc(car, tuning, scheduler=scheduler, **loop)
+    steering = {name: value for name, value in (believed or {}).items() if value is not None}
+    options = {"belief": at.Steering(**steering)} if steering else {}
+    if kind == "learning":
+        options["learning"] = at.Learning()
+    return at.MPC(car, tuning, profile=profile, **options)
 
 
 @functools.cache

@@ -10,10 +10,12 @@ import adaptrack as at
 from adaptrack import MPC, ContractError, DualTrack, InvalidInput, Tuning, load_vehicle, published_mpc, rollout_batch
 from adaptrack.analysis.certify import OPERATING, certify
 from adaptrack.analysis.linearisation import Mismatch, laws, usual_mismatches
-from adaptrack.analysis.stability import hard_turn, loop_map, loops, radii, spectral_radius
+from adaptrack.analysis.stability import hard_turn, loop_map, loops
 from adaptrack.control.scheduling import StabilityMap, Table
+from adaptrack.core.maths.portable import spectral_radius
 from adaptrack.results import style, write_result
 from adaptrack.results.certificate import certificate_result
+from linear_loops import loop_radius
 from pictures import pictures
 
 CAR = load_vehicle("paper")
@@ -81,7 +83,7 @@ def test_an_unstable_constant_is_caught_and_the_place_is_named():
         assert worst["driving"] == driving
         assert (worst["Np"], worst["Nc"], worst["R"]) == (28.0, 8.0, 2800.0)
         assert worst["radius"] == pytest.approx(
-            spectral_radius(
+            loop_radius(
                 PLANT, PUBLISHED, worst["speed"], tuning=AGGRESSIVE, friction=worst["friction"], profile="road",
                 lateral_acceleration=turn,
             )
@@ -179,7 +181,7 @@ def test_the_informed_constant_is_stable_everywhere_and_its_margins_are_those_of
     assert "model path, estimator kalman" in certificate.verdict
     i = int(np.argmax(certificate.counted.straight.radius))
     speed, friction = certificate.points[i, 0], certificate.points[i, at.SchedulingVariables._fields.index("friction")]
-    expected = spectral_radius(PLANT, INFORMED, speed, friction=friction, profile="road")
+    expected = loop_radius(PLANT, INFORMED, speed, friction=friction, profile="road")
     assert certificate.counted.straight.radius[i] == pytest.approx(expected)
 
 
@@ -193,7 +195,7 @@ def test_another_car_than_told_is_analysed_beside_and_named():
     assert f"Unstable with lag +0.1 s: {(late.radius >= 1.0).sum()}." in certificate.verdict
     law = laws(INFORMED, 30.0, INFORMED.tuning.as_array())
     body = mismatches[0].sampled(PLANT, 0.05, 30.0, friction=1.0, profile="road")
-    assert late.radius[-1] == pytest.approx(radii(loops(body, law))[0])
+    assert late.radius[-1] == pytest.approx(spectral_radius(loops(body, law))[0])
     rows = json.loads(json.dumps(certificate.summary(), allow_nan=False))["mismatched"]
     assert [row["mismatch"] for row in rows] == ["lag +0.1 s", "dead time -0.05 s"]
     assert rows[0]["unstable"] == (late.radius >= 1.0).sum()

@@ -22,9 +22,11 @@ from adaptrack.analysis.linearisation import (
     sensed,
     steady_turn,
 )
-from adaptrack.analysis.stability import hard_turn, loop_map, loops, margins, modulus_margin, radii, spectral_radius
+from adaptrack.analysis.stability import hard_turn, loop_map, loops, margins, modulus_margin
+from adaptrack.core.maths.portable import spectral_radius
 from adaptrack.scenario import Wind
 from adaptrack.tuning.runs import RunSet
+from linear_loops import loop_radius
 
 pytestmark = pytest.mark.compiled
 CAR = at.load_vehicle("paper")
@@ -83,7 +85,7 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, ages,
     rows = np.lib.stride_tricks.sliding_window_view(tail, 5)
     coefficients = np.linalg.lstsq(rows[:, :4], rows[:, 4])[0]
     rate = np.abs(np.roots([1.0, *-coefficients[::-1]])).max()
-    assert rate == pytest.approx(radii(matrix), abs=1e-3)
+    assert rate == pytest.approx(spectral_radius(matrix), abs=1e-3)
 
 
 @pytest.mark.parametrize("speed", [8.0, 24.0])
@@ -123,14 +125,14 @@ def test_the_linear_estimator_is_the_filter_with_samples_of_these_ages(ages, rng
 def test_in_a_steady_turn_nothing_changes_but_place_and_heading(plant):
     for speed, friction in product((3.0, 12.0, 30.0), (0.3, 1.0)):
         acceleration = hard_turn(speed, friction)
-        x, steering = steady_turn(plant, speed, acceleration, friction)
+        *_, x, steering = steady_turn(plant, speed, acceleration, friction)
         slope = plant.derivative(x, [steering, 0.0], [friction] * 4 + [0.0, 0.0])
         still = [i for i, name in enumerate(plant.state_names) if name not in ("X", "Y", "psi", "vx", "felt_ax")]
         np.testing.assert_allclose(slope[still], 0.0, atol=1e-6)
         assert slope[2] * speed == pytest.approx(acceleration)
         assert slope[1] == pytest.approx(0.0, abs=1e-9)  # the velocity points along X
         assert steering > 0.0
-        mirrored, opposite = steady_turn(plant, speed, -acceleration, friction)
+        *_, mirrored, opposite = steady_turn(plant, speed, -acceleration, friction)
         assert opposite == pytest.approx(-steering)
         assert mirrored[5] == pytest.approx(-x[5])
 
@@ -138,9 +140,9 @@ def test_in_a_steady_turn_nothing_changes_but_place_and_heading(plant):
 def test_in_a_turn_tyres_are_softer_and_an_aggressive_loop_becomes_unstable():
     aggressive, sound = at.Tuning(28, 8, 1.0, 2800.0), at.Tuning(38, 4, 1.0, 8000.0)
     for tuning, unstable in ((aggressive, True), (sound, False)):
-        assert spectral_radius(PLANT, ROAD_MPC, 24.0, tuning=tuning, profile="road") < 1.0
+        assert loop_radius(PLANT, ROAD_MPC, 24.0, tuning=tuning, profile="road") < 1.0
         turn = hard_turn(24.0, 0.6)
-        radius = spectral_radius(
+        radius = loop_radius(
             PLANT, ROAD_MPC, 24.0, tuning=tuning, friction=0.6, profile="road", lateral_acceleration=turn
         )
         assert (radius > 1.0) is unstable
@@ -162,7 +164,7 @@ def test_the_relaxation_of_its_tyres_makes_the_vans_loop_unstable_unless_the_mod
     assert unaware.model.dead_time == pytest.approx(profile.dead_time)
     rigid = at.DualTrack(van, plant.tyre.replace(relaxation_length=0.0))
     stable = {
-        (tyres, model): spectral_radius(car, controller, 27.0, profile=profile) < 1.0
+        (tyres, model): loop_radius(car, controller, 27.0, profile=profile) < 1.0
         for tyres, car in (("relaxing", plant), ("rigid", rigid))
         for model, controller in (("aware", mpc), ("unaware", unaware))
     }
@@ -186,7 +188,7 @@ def test_a_mode_that_never_reaches_what_is_measured_does_not_count():
     names, _, _ = linearised(plant, 15.0)
     assert "unseen" not in names
     assert "X" not in names
-    assert spectral_radius(plant, at.published_mpc(CAR, at.Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
+    assert loop_radius(plant, at.published_mpc(CAR, at.Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
 
 
 class Stepped(at.SteppedPlant):
@@ -205,7 +207,7 @@ def test_what_has_no_linear_loop_is_refused():
     with pytest.raises(
         at.InvalidInput, match=r"samples are 0.1 s old, and the controller's filter takes in none older"
     ):
-        spectral_radius(PLANT, INFORMED, 15.0, profile="production")
+        loop_radius(PLANT, INFORMED, 15.0, profile="production")
     feels = at.MPC(
         CAR,
         period=0.05,
@@ -213,7 +215,7 @@ def test_what_has_no_linear_loop_is_refused():
         estimator=at.KalmanFilter(at.SensorNoise(wheel_angle=0.01)),
     )
     with pytest.raises(at.InvalidInput, match="reads wheel_angle"):
-        spectral_radius(PLANT, feels, 15.0, profile="paper")
+        loop_radius(PLANT, feels, 15.0, profile="paper")
 
 
 # -- margins ----------------------------------------------------------------------------------------------------------
@@ -262,14 +264,14 @@ def test_at_its_margins_the_cars_loop_is_at_the_verge(turning, mpc):
         stable = np.flatnonzero(result.radius < 0.995)[:8]
         assert len(stable) >= 4
         for i in stable:
-            law = k[i : i + 1]
+            law = LinearControllers(k.estimator, k.k[i : i + 1])
             for factor in (result.gain_up[i], result.gain_down[i]):
-                assert radii(loops(body, law, factor))[0] == pytest.approx(1.0, abs=2e-4)
+                assert spectral_radius(loops(body._replace(b=factor * body.b), law))[0] == pytest.approx(1.0, abs=2e-4)
             for share, stays in ((0.9, True), (1.1, False)):
                 late = sampled(PLANT, 0.05, speed, **options, delay=share * result.delay[i])
-                assert (radii(loops(late, law))[0] < 1.0) is np.bool_(stays)
+                assert (spectral_radius(loops(late, law))[0] < 1.0) is np.bool_(stays)
             for factor in np.linspace(result.gain_down[i], result.gain_up[i], 9)[1:-1]:
-                assert radii(loops(body, law, factor))[0] < 1.0
+                assert spectral_radius(loops(body._replace(b=factor * body.b), law))[0] < 1.0
 
 
 @pytest.mark.parametrize("profile", [PAPER, ROAD])
@@ -353,7 +355,7 @@ def test_no_loop_that_is_certified_stable_grows_in_the_simulator(name, by):
     radius, runs = np.empty(n), []
     for i, (v, mu) in enumerate(zip(speeds.tolist(), frictions.tolist(), strict=True)):
         body = by.sampled(PLANT, 0.05, v, friction=mu, profile=QUIET)
-        radius[i] = radii(loops(body, laws(mpc, v, tunings[i])))[0]
+        radius[i] = spectral_radius(loops(body, laws(mpc, v, tunings[i])))[0]
         quiet = {"reference": 0.0, "wind": Wind(y=0.0), "start_y": 1e-6}
         runs.append(at.Scenario(name="small", duration=0.2 * quarter, speed=v, friction=mu, **quiet))
     cost = RunSet(car, mpc, runs, world, segment=quarter).segments(tunings, 0, np.arange(n))[:, :4]

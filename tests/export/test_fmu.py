@@ -470,13 +470,13 @@ def test_each_platforms_binary_drives_as_the_kernels_do_to_the_bit(name, folder,
     libraries = [] if name == "windows" else ["-ldl"]
     source = Path(__file__).parents[1] / "processors" / "fmu_driver.c"
     run_program(compiler, "-O1", source, "-o", driver, "-lm", *libraries)
-    block = constants(unit)
-    (tmp_path / "constants.bin").write_bytes(block.content)
+    content = constants(unit)
+    (tmp_path / "constants.bin").write_bytes(content)
     place = "." if name == "windows" else str(tmp_path)
     library = f"fmu.{fmu_build.PLATFORMS[name].ending}"
     (tmp_path / library).write_bytes(fmu_build.binary(name))
     library = library if name == "windows" else str(tmp_path / library)
-    token = f"{{{zlib.crc32(block.content):08x}}}"
+    token = f"{{{zlib.crc32(content):08x}}}"
     arguments = [library, place, token, repr(unit.period), "200", str(kernel.CAR_VALUE.command)]
     answer = run_program(*emulator, str(driver), *arguments, cwd=tmp_path)
     resident = Resident(unit.record)

@@ -46,7 +46,7 @@ def browser_window(request):
 # -- one file ---------------------------------------------------------------------------------------------------------
 def test_the_page_is_one_file_of_at_most_three_megabytes(page):
     text = page.read_text(encoding="utf-8")
-    assert page.stat().st_size <= page_file.MAX_PAGE_SIZE
+    assert page.stat().st_size <= 3_000_000
     assert list(page.parent.iterdir()) == [page]
     assert not re.findall(r'(?:src|href)="(?!#|data:)(?!https://)[^"]', text)
     assert "default-src 'none'" in text

@@ -20,7 +20,6 @@ from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
-from adaptrack.export.page_setup import simulate_setup
 from pages import differing
 from programs import find_program, run_program
 
@@ -116,8 +115,8 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
 def test_a_drive_begins_with_what_its_controller_assumes_of_the_steering(ask):
     setup = page_drives.SETUPS["informed"]
     _, started = ask(drive(setup)[0])
-    controller = page_setup.controller_of(
-        setup["controllers"][0], page_setup.car_of(setup["car"]), at.load_profile(setup["profile"])
+    controller = page_drives.controller_of(
+        setup["controllers"][0], page_drives.car_of(setup["car"]), at.load_profile(setup["profile"])
     )  # fmt: skip
     assumed = {name: controller.belief.steering[name] for name in ("lag", "dead_time")}
     assert started["cars"][0]["belief"] == assumed
@@ -131,7 +130,7 @@ def test_drives_by_a_speed_control_are_those_of_the_package_from_every_seed(name
     while instants < max(CALLS, 1):
         setup = {**page_drives.SETUPS[name], "seed": seed}
         cars = frames(ask(*drive(setup)))
-        expected = [page_drives.columns_of(run) for run in simulate_setup(setup)]
+        expected = [page_drives.columns_of(run) for run in page_drives.simulate_setup(setup)]
         assert [differing(car, there) for car, there in zip(cars, expected, strict=True)] == [{}] * len(cars)
         instants += sum(len(there["x"]) for there in expected)
         seed += 1
@@ -162,10 +161,10 @@ def advance_message(periods):
 
 def by_python(before, touch, after):
     """States of `TOUCHED` driven by the package's kernels, with a touch of its run between two stretches."""
-    car, profile = page_setup.car_of(TOUCHED["car"]), at.load_profile("road")
+    car, profile = page_drives.car_of(TOUCHED["car"]), at.load_profile("road")
     road_drive, controller = (
-        page_setup.drive_of(TOUCHED, car),
-        page_setup.controller_of(TOUCHED["controllers"][0], car, profile),
+        page_drives.drive_of(TOUCHED, car),
+        page_drives.controller_of(TOUCHED["controllers"][0], car, profile),
     )
     batch = Batch(at.DualTrack(car), controller, [road_drive], profile)
     run = batch.run_record(1, int(batch.substeps[0]), Room())
@@ -205,7 +204,7 @@ def blind(run, batch):
 
 
 def believing(run, batch):
-    car = page_setup.car_of(TOUCHED["car"])
+    car = page_drives.car_of(TOUCHED["car"])
     other = at.MPC(car, profile="road", belief=at.Steering(lag=0.3, dead_time=0.1))
     mpc = other.batch(1, other.settings(), curved=True)
     before = run.controller.mpc

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+import page_drives
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_setup
 from adaptrack.export.page_file import PAGE_SOURCES
-from adaptrack.export.page_setup import simulate_setup
 from programs import run_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="whole drives"), pytest.mark.needs("node")]
@@ -33,7 +33,7 @@ def lessons():
 
 @pytest.fixture(autouse=True)
 def half_a_minute(monkeypatch):
-    monkeypatch.setattr(page_setup, "CLOSED_ROAD_DURATION", 60.0)  # laps of a closed road
+    monkeypatch.setattr(page_drives, "CLOSED_ROAD_DURATION", 60.0)  # laps of a closed road
 
 
 def drive(lesson, truth=None, **controllers):
@@ -43,7 +43,7 @@ def drive(lesson, truth=None, **controllers):
     for name, options in controllers.items():
         setup["controllers"][int(name[-1])] |= options
     results = []
-    for run in simulate_setup(setup):
+    for run in page_drives.simulate_setup(setup):
         error, command = run.error[np.isfinite(run.error)], run.command[np.isfinite(run.command)]
         rms = float(np.sqrt(np.mean(error**2)))
         results.append((rms, float(abs(error).max()), float(np.sqrt(np.mean(np.diff(command) ** 2))), run.failed))
@@ -86,7 +86,7 @@ def test_adaptation_gains_on_the_general_trajectory_and_knowing_the_car_more(les
 
 
 def test_an_unknown_car_is_learned_and_a_wrong_belief_leaves_the_road(lessons):
-    learns, believes = simulate_setup(lessons["learning"]["setup"])
+    learns, believes = page_drives.simulate_setup(lessons["learning"]["setup"])
     assert abs(learns.error).max() < 0.08
     late = {name: learns.diagnostics[name][400] for name in ("belief_lag", "belief_dead_time")}
     early = {name: learns.diagnostics[name][0] for name in late}

@@ -272,7 +272,7 @@ def test_the_drift_model_is_linearised_and_the_multi_body_model_whose_tyres_jump
     from adaptrack.analysis.linearisation import linearised, steady_turn
 
     car = commonroad_vehicle(2)
-    _, angle = steady_turn(drift, 15.0, 2.0)
+    angle = steady_turn(drift, 15.0, 2.0).steering
     assert angle == pytest.approx(2.0 / 15.0 / car.steady_state_yaw_gain(15.0), rel=0.01)
     names, a, _ = linearised(drift, 15.0)
     assert {"vy", "yaw_rate"} <= set(names)

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from adaptrack.analysis.linearisation import EstimatorAt, Steady, laws, sampled_about
+from adaptrack.analysis.linearisation import EstimatorAt, laws, sampled_about, steady_turn
 from adaptrack.analysis.stability import COARSE_ANGLES, modulus_margin
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
@@ -146,7 +146,7 @@ def _margins(
     """
     (mpc, profile), (speed, mu, lateral) = loop, turn
     try:
-        without_braking = Steady.of(plant, speed, mu, lateral)
+        without_braking = steady_turn(plant, speed, lateral, mu)
     except InvalidInput:
         return None
     # The gains of the estimator change slowly, so they are those of the turn before braking.
@@ -156,7 +156,7 @@ def _margins(
 
     def margin(share: float) -> float:
         try:
-            steady = Steady.of(plant, speed, mu, lateral, share * mu * GRAVITY) if share > 0.0 else without_braking
+            steady = steady_turn(plant, speed, lateral, mu, share * mu * GRAVITY) if share > 0.0 else without_braking
         except InvalidInput:
             return OUTSIDE_GRIP_MARGIN
         return float(modulus_margin(sampled_about(plant, mpc.period, steady, profile), law, COARSE_ANGLES)[0])

@@ -50,10 +50,36 @@ _TURN_DITHER = 1e-9  # amplitude of the measurements in a turn, where they are n
 
 
 # -- the plant --------------------------------------------------------------------------------------------------------
+class Steady(NamedTuple):
+    """Steady motion of a plant: straight driving or a turn, with or without braking."""
+
+    speed: float
+    """Speed (m/s)."""
+    friction: float
+    """Friction coefficient."""
+    deceleration: float
+    """Deceleration (m/s^2) of a moment of braking."""
+    state: Array
+    """State of the plant, (n,)."""
+    steering: float
+    """Front-wheel angle (rad)."""
+
+    def measured(self, plant: Plant, period: float) -> Array:
+        """Return the signals of `sensed` and how far the path has turned (rad), (9,); period in s."""
+        states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
+        yaw_rate = states["yaw_rate"]
+        signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
+            "yaw": states["psi"],
+            "wheel_angle": self.steering,
+        }
+        signals |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
+        return np.array([signals.get(name, 0.0) for name in (*sensed(), "turned")])
+
+
 def steady_turn(
     plant: Plant, speed: float, lateral_acceleration: float, friction: float = 0.9, deceleration: float = 0.0
-) -> tuple[Array, float]:
-    """Return state (n,) and front-wheel angle (rad) of a steady turn to the left without wind.
+) -> Steady:
+    """Return the steady motion of a turn to the left without wind.
 
     The velocity points along X. Newton's method finds a state in which the derivatives of all states except X, Y, yaw
     and v_x vanish. The lateral acceleration rises from zero in steps of at most 1 m/s^2. speed: m/s;
@@ -90,7 +116,7 @@ def steady_turn(
         )
     x[free] = unknown[:-1]
     x[names.index("psi")] = -portable.atan2(x[names.index("vy")], x[names.index("vx")])
-    return x, float(unknown[-1])
+    return Steady(speed, friction, deceleration, x, float(unknown[-1]))
 
 
 def _braking_force(plant: Plant, deceleration: float) -> float:
@@ -157,41 +183,7 @@ def linearised(
         When the plant cannot drive the turn, or its derivatives jump there. A jump changes a difference when its step
         is four times as long.
     """
-    return _linearised_at(plant, Steady.of(plant, speed, friction, lateral_acceleration, deceleration))
-
-
-class Steady(NamedTuple):
-    """Steady motion of a plant: straight driving or a turn, with or without braking."""
-
-    speed: float
-    """Speed (m/s)."""
-    friction: float
-    """Friction coefficient."""
-    deceleration: float
-    """Deceleration (m/s^2) of a moment of braking."""
-    state: Array
-    """State of the plant, (n,)."""
-    steering: float
-    """Front-wheel angle (rad)."""
-
-    @classmethod
-    def of(
-        cls, plant: Plant, speed: float, friction: float, lateral_acceleration: float, deceleration: float = 0.0
-    ) -> Steady:
-        """Return the steady motion that `steady_turn` finds."""
-        turn = steady_turn(plant, speed, lateral_acceleration, friction, deceleration)
-        return cls(speed, friction, deceleration, *turn)
-
-    def measured(self, plant: Plant, period: float) -> Array:
-        """Return the signals of `sensed` and how far the path has turned (rad), (9,); period in s."""
-        states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
-        yaw_rate = states["yaw_rate"]
-        signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
-            "yaw": states["psi"],
-            "wheel_angle": self.steering,
-        }
-        signals |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
-        return np.array([signals.get(name, 0.0) for name in (*sensed(), "turned")])
+    return _linearised_at(plant, steady_turn(plant, speed, lateral_acceleration, friction, deceleration))
 
 
 def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]:
@@ -272,9 +264,8 @@ def sampled(
     InvalidInput
         When a command would act before its instant, and as for `steady_turn`.
     """
-    return sampled_about(
-        plant, period, Steady.of(plant, speed, friction, lateral_acceleration), load_profile(profile), delay
-    )
+    turn = steady_turn(plant, speed, lateral_acceleration, friction)
+    return sampled_about(plant, period, turn, load_profile(profile), delay)
 
 
 def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, delay: float = 0.0) -> Sampled:
@@ -666,9 +657,6 @@ class LinearControllers:
     estimator: LinearEstimator
     k: Array
     """Feedback gains of each tuning, (n, states + 1), with du = -k xi."""
-
-    def __getitem__(self, rows: slice) -> LinearControllers:
-        return LinearControllers(self.estimator, self.k[rows])
 
 
 def laws(

@@ -27,14 +27,13 @@ from adaptrack.analysis.linearisation import (
     linear_estimator,
     linear_plants,
     linearised,
-    sampled,
     sensed,
 )
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
 from adaptrack.cars.vehicle import Domain, Vehicle
-from adaptrack.control.controllers import MPC, Tuning
+from adaptrack.control.controllers import MPC
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
@@ -49,19 +48,18 @@ COARSE_ANGLES = portable.geomspace(2e-3, np.pi, 192)
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
-def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
+def loops(plant: Sampled, law: LinearControllers) -> Array:
     """Return the closed-loop matrices over one control period of n controllers, (n, m + q, m + q).
 
-    The loop's state is that of the plant (m,), then that of the controllers' estimator (q,). gain: factor on the
-    commands between controller and steering
+    The loop's state is that of the plant (m,), then that of the controllers' estimator (q,).
     """
     estimator, measured = law.estimator, _measured(plant, law)
     m, q = len(plant.b), len(estimator.a)
     of_z = -product(law.k, product(estimator.d, measured))  # u = of_z z + of_s s
     of_s = estimator.h - product(law.k, estimator.c)
     matrices = np.empty((len(law.k), m + q, m + q))
-    matrices[:, :m, :m] = plant.a + gain * plant.b[:, None] * of_z[:, None, :]
-    matrices[:, :m, m:] = gain * plant.b[:, None] * of_s[:, None, :]
+    matrices[:, :m, :m] = plant.a + plant.b[:, None] * of_z[:, None, :]
+    matrices[:, :m, m:] = plant.b[:, None] * of_s[:, None, :]
     matrices[:, m:, :m] = product(estimator.e, measured) + estimator.f[:, None] * of_z[:, None, :]
     matrices[:, m:, m:] = estimator.a + estimator.f[:, None] * of_s[:, None, :]
     return matrices
@@ -78,31 +76,6 @@ def _measured(plant: Sampled, law: LinearControllers) -> Array:
             "(SensorNoise: inf); a wheel angle is a state where the steering has a lag (0.001 s will do)."
         )
     return plant.c
-
-
-def closed_loop(
-    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, profile: str | Profile = "paper",
-    **options: float,
-) -> Array:  # fmt: skip
-    """Return the closed-loop matrix over one control period.
-
-    Its state is that of `sampled`, then that of `linear_estimator`. A `tuning` of None is the MPC's own. The options
-    are those of `sampled`: `friction`, `lateral_acceleration` (m/s^2), and `delay` (s), an additional dead time of the
-    commands.
-    """
-    linear = sampled(plant, mpc.period, speed, profile=profile, **options)
-    estimator = linear_estimator(mpc, speed, SampleAges.of(profile))
-    return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array(), estimator))[0]
-
-
-def spectral_radius(plant: Plant, mpc: MPC, speed: float, **options: Any) -> float:
-    """Return the spectral radius of `closed_loop`, with its options; the loop is stable if it is less than 1."""
-    return float(radii(closed_loop(plant, mpc, speed, **options)))
-
-
-def radii(matrices: Array) -> Array:
-    """Return the spectral radius of each matrix (..., n, n)."""
-    return portable.spectral_radius(matrices)
 
 
 # -- margins ----------------------------------------------------------------------------------------------------------
@@ -172,7 +145,7 @@ def modulus_margin(plant: Sampled, law: LinearControllers, angles: ArrayLike = _
     the loop is stable for factors on its commands from 1/(1 + m) to 1/(1 - m). At most 1. An unstable loop has the
     negative value -10 (spectral radius - 1), so that tables can be interpolated across the limit.
     """
-    return _modulus_margin(loop_gain(plant, law, angles), radii(loops(plant, law)))
+    return _modulus_margin(loop_gain(plant, law, angles), portable.spectral_radius(loops(plant, law)))
 
 
 def _modulus_margin(gains: Complex, radius: Array) -> Array:
@@ -188,7 +161,7 @@ def margins(plant: Sampled, law: LinearControllers, period: float) -> Margins:
     frequencies.
     """
     gains = loop_gain(plant, law)
-    radius = radii(loops(plant, law))
+    radius = portable.spectral_radius(loops(plant, law))
     stable = radius < 1.0
     factor, delay = _critical_factors(gains), _critical_delays(gains, period)
     return Margins(

@@ -6,7 +6,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.core.maths import portable
 from adaptrack.core.public import GRAVITY, STANDING_SPEED
@@ -14,8 +13,6 @@ from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.signal_statistics import finite_length, mean_square, r79
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Road, SpeedPlan
-
-Array = NDArray[np.float64]
 
 SPEED_MEASURES = {
     "time_lost": "s", "way_driven": "-", "speed_error": "m/s", "longitudinal_jerk": "m/s^3", "used_grip": "-",

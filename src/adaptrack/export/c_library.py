@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 import textwrap
 import zlib
@@ -154,7 +155,7 @@ def _texts(
         "CONSTANTS_SIZE": f"{len(memory.content):,}", "SIZE": f"{memory.size:,}",
         "STATE_SIZE": f"{memory.state_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
-        "EXACT": " ".join(EXACT_OPTIONS), **signal_texts(),
+        "EXACT": " ".join(EXACT_OPTIONS), "ERROR_NAMES": _error_names(), **signal_texts(),
     }  # fmt: skip
     prepare = (PREPARE_MPC,) if controller.has_horizons else ()
     called = (*CALLED, *(SPEED_CALLED if speed else ()), *prepare, *memory.functions)
@@ -174,6 +175,12 @@ def _actions() -> str:
     """The table of the header: actions of the speed control by status."""
     rows = {"status": ("with a position", "without one")} | SPEED_ACTIONS
     return "\n".join(f"   {status:<12}{located:<16}{blind}" for status, (located, blind) in rows.items())
+
+
+def _error_names() -> str:
+    """The cases of a switch over the errors of the header: their names."""
+    header = (C_SOURCES / "adaptrack_error.h").read_text(encoding="utf-8")
+    return "\n".join(f'        case {name}: return "{name}";' for name in re.findall(r"(ADAPTRACK_\w+) = \d", header))
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:

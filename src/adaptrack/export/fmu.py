@@ -17,6 +17,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 from xml.etree import ElementTree as ET
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adaptrack.base.checked import Bound, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
@@ -25,8 +28,8 @@ from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
-from adaptrack.export.image import Image, image_of
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
+from adaptrack.export.memory import CACHE_LINE_WORDS, Member, file_of, members_of
 from adaptrack.export.units import (
     CONSTANT_VALUE,
     INPUT_VALUE,
@@ -109,7 +112,7 @@ def write_fmu(
     path = Path(path)
     if path.suffix != ".fmu":
         raise InvalidInput(f"{path}: must end in .fmu.")
-    content = constants(unit).content
+    content = constants(unit)
     token = f"{{{zlib.crc32(content):08x}}}"
     name = f"adaptrack_{unit.name}"
     files = {
@@ -131,22 +134,52 @@ def write_fmu(
     return path
 
 
-def constants(unit: Unit) -> Image:
-    """The record of a unit as a file.
-
-    Raises
-    ------
-    InvalidInput
-        When it holds a function that is none of the package's.
-    """
-    return image_of(unit.record, unit.constants, fmu_build.UNIT_MEMBERS)
-
-
 def _binaries(name: str, version: str, platforms: Sequence[str]) -> Iterator[tuple[str, bytes]]:
     """Places and contents of the shared libraries."""
     for platform in dict.fromkeys(platforms or (fmu_build.own_platform(),)):
         content, chosen = fmu_build.binary(platform), fmu_build.PLATFORMS[platform]
         yield f"binaries/{chosen.folders[VERSIONS.index(version)]}/{name}.{chosen.ending}", content
+
+
+# -- the constants ----------------------------------------------------------------------------------------------------
+def constants(unit: Unit) -> bytes:
+    """Return the file of the constants of a unit: its record with all arrays, as the image of a memory.
+
+    The library of FMUs holds every unit, and sizes depend on the road, so an FMU cannot have structs as the export to C
+    does. The file (`memory.file_of`) holds counts, the places of addresses, then the words of the memory: the record as
+    `core.kernel.Resident` lays it, the arrays that do not change, and all others, which a saved state holds. It names a
+    kernel by its place in `fmu_build.UNIT_MEMBERS`.
+
+    Raises
+    ------
+    InvalidInput
+        When kernels are interpreted, or the record has a function that is none of the package's.
+    """
+    words: list[NDArray[np.uint64]] = []
+    arrays: list[tuple[int, Member]] = []
+    links: list[tuple[int, str]] = []
+    size = 0
+    for member in members_of(unit.record):
+        arrays += [(size, member)] if member.is_array else []
+        links += [(size, member.kernel)] if member.kernel else []
+        words.append(np.array((0, *member.values.shape), np.uint64) if member.is_array else member.words)
+        size += words[-1].size
+    unknown = sorted({kernel for _, kernel in links} - set(fmu_build.UNIT_MEMBERS))
+    if unknown:
+        raise InvalidInput(
+            f"export fmu: {', '.join(unknown)}: not among the kernels of an FMU; a plant is single-track or dual-track."
+        )
+    arrays.sort(key=lambda array: not array[1].is_among(unit.constants))
+    places, state = list[int](), size
+    for word, member in arrays:
+        gap = -size % CACHE_LINE_WORDS
+        words += [np.zeros(gap, np.uint64), member.words]
+        places += [word | (size + gap) << 32] if member.values.size else []
+        size += gap + words[-1].size
+        state = size if member.is_among(unit.constants) else state
+    fixes = [*places, *(word | fmu_build.UNIT_MEMBERS.index(kernel) << 32 for word, kernel in links)]
+    head = np.array([size, state, len(places), len(links), *fixes], np.uint64)
+    return file_of(fmu_build.unit_number(type(unit.record).__name__), np.concatenate([head, *words]))
 
 
 # -- the description --------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -24,7 +25,6 @@ from adaptrack.base.files import write_atomically
 from adaptrack.core.build.compile import DLL_FILE, compiler
 from adaptrack.core.build.run_time import cache_path
 from adaptrack.core.build.units import PLANTS, TRACKERS, UNIT_KERNELS
-from adaptrack.export.image import unit_number
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 from adaptrack.export.memory import kernels_number
 
@@ -84,6 +84,11 @@ def sources() -> dict[str, str]:
     kernels = kernel_sources([*UNIT_MEMBERS, *sum(UNIT_KERNELS.values(), ())])
     return kernels | {source.name: source.read_text(encoding="utf-8") for source in FMU_SOURCES} | {
         "fmu_units.c": _units_table()}  # fmt: skip
+
+
+def unit_number(name: str) -> int:
+    """The number of a unit by the name of its record."""
+    return zlib.crc32(name.encode())
 
 
 def _units_table() -> str:

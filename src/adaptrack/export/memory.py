@@ -329,11 +329,6 @@ class CMemory:
         """The constants as a file."""
         return file_of(self.layout, np.concatenate([member.words for member in self.constants]))
 
-    @property
-    def checksum(self) -> int:
-        """CRC-32, by which constants are known again."""
-        return int(FILE_HEAD.unpack_from(self.content)[2])
-
     # -- texts --------------------------------------------------------------------------------------------------------
     def structs(self) -> str:
         """The structs in C."""

@@ -79,11 +79,12 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_vehicle
-from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
+from adaptrack.control.controllers import LQR, MPC, Learning, PurePursuit, Stanley, published_mpc
+from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.informed import order_of
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.control.speed_control import (
@@ -116,8 +117,9 @@ from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order
 from adaptrack.core.tracker.longitudinal import Longitudinal
 from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
 from adaptrack.drive.world import World
+from adaptrack.export.memory import kernel_names
 from adaptrack.export.page_inputs import car_fields, page_car, plain
-from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
+from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, page_road
 from adaptrack.road import Comfort, Line, Road
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.road.speed import PLAN_SPACING
@@ -131,12 +133,10 @@ RECORDS = (
     speed_path.PlanArrays,
 )  # fmt: skip
 """What the engine lays into memory."""
-CONTROLLER_KINDS = {
-    "informed": "informed MPC", "learning": "informed MPC + learning", "published": "the paper's MPC",
-    "published-nn": "the paper's MPC, scheduled by networks", "published-anfis": "the paper's MPC, scheduled by ANFIS",
-    "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
-}  # fmt: skip
-"""Descriptions of the controllers on the page, by name."""
+CONTROLLER_KINDS = (
+    "informed", "learning", "published", "published-nn", "published-anfis", "pure-pursuit", "stanley", "lqr",
+)  # fmt: skip
+"""Names of the controllers on the page."""
 INPUTS = columns(
     Field("lag", "s", 0.0, "The true lag", "[0, 1]"),
     Field("dead_time", "s", 0.0, "The true dead time", "[0, 1]"),
@@ -157,7 +157,6 @@ INPUTS = columns(
     Field("mass", "", 1.0, "The factor on the mass", "[0.5, 2]"),
 )
 """What is set on the page, with its bounds."""
-INFORMED_KINDS = ("informed", "learning")
 MADE_BY = {
     "pure-pursuit": (PurePursuit, laws.pure_pursuit_parameters, laws.PURSUIT),
     "stanley": (Stanley, laws.stanley_parameters, laws.STANLEY),
@@ -181,12 +180,15 @@ def page_data() -> dict[str, Any]:
         "bounds": {field.name: field.ends for field in fields_of(INPUTS)},
         "words": _words(),
         "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
-        "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
+        "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(),
+        "road_defaults": _along(Road.from_segments([Line(length=10.0)])),
         "frame": list(FRAME._fields), "speed_frame": list(SPEED_FRAME._fields), "speed_control": speed_numbers(),
         "answer": list(mpc.MPC_ANSWER._fields), "beliefs": list(learning.BELIEF_NAMES),
         "no_schedule": image(no_schedule()),
         "profiles": {name: world_numbers(name) for name in list_profiles()},
-        "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in CONTROLLER_KINDS},
+        "controllers": {
+            kind: {name: controller_numbers(kind, name) for name in list_profiles()} for kind in CONTROLLER_KINDS
+        },
         "schedules": {name: image(load_scheduler(name).plan(1)) for name in ("road-nn", "road-anfis")},
         "roads": {name: _road(name) for name in PAGE_ROADS}, "tests": {name: _test(name) for name in PAPER_ROADS},
         "places": {"signal": SIGNAL._asdict(), "state": PLANT_STATE._asdict(), "input": PLANT_INPUT._asdict(),
@@ -210,34 +212,11 @@ def _comfort() -> dict[str, float]:
     return {**Comfort().model_dump(), **unknown, "no_limit": MAX_SPEED.most, "spacing": PLAN_SPACING}
 
 
-def _straight() -> Road:
-    return Road.from_segments([Line(length=10.0)])
-
-
 def _along(road: Road) -> dict[str, float]:
     """Signals along a level road of one width, speed limit and friction."""
     names = ("width_left", "width_right", "friction")
     limit = math.inf if road.speed_limit is None else float(road.speed_limit.value[0])
     return {**{key: float(getattr(road, key).value[0]) for key in names}, "speed_limit": limit}
-
-
-def _controller(kind: str, profile: str) -> dict[str, Any]:
-    """The constants of a kind of controller in a profile, its schedule and the names of what it says."""
-    base, _, scheduled = kind.partition("-")
-    world = load_profile(profile)
-    if base == "published" and not math.isfinite(world.noise_vy):
-        return {
-            "refused": f"The profile “{profile}” has no sensor for the lateral velocity, which the paper's MPC needs: "
-            "choose the informed MPC."
-        }
-    base = kind if kind in MADE_BY else base
-    controller, numbers = controller_of({"kind": base}, _any_car(), world), controller_numbers(base, profile)
-    return {
-        **numbers, "words": CONTROLLER_KINDS[kind],
-        "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
-        "diagnostics": list(controller.diagnostic_names), "tuning_names": list(controller.tuning_names),
-        "usual": dict(zip(controller.tuning_names, controller.packed_tuning().tolist(), strict=True)),
-    }  # fmt: skip
 
 
 def _road(name: str) -> dict[str, Any]:
@@ -320,29 +299,37 @@ def speed_numbers() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def controller_numbers(kind: str, profile: str | Profile, preview: bool | None = None) -> dict[str, Any]:
-    """A controller of a kind (`INFORMED_KINDS`, ``published``, `MADE_BY`) for a program without Python, see the module.
+def controller_numbers(kind: str, profile: str) -> dict[str, Any]:
+    """A controller of `CONTROLLER_KINDS` in a profile for a program without Python, see the module.
 
-    preview: whether the reference is known ahead; None: as the profile says.
+    ``refused``: the sentence why there is none. Otherwise the constants, the name of its ``schedule``, its
+    ``diagnostics``, its ``tuning_names`` and its default tuning, ``usual``.
     """
-    world = load_profile(profile)
-    preview = world.preview if preview is None else preview
+    base, _, scheduled = kind.partition("-")
+    world, is_published = load_profile(profile), base == "published"
+    if is_published and not math.isfinite(world.noise_vy):
+        return {
+            "refused": f"The profile “{profile}” has no sensor for the lateral velocity, which the paper's MPC needs: "
+            "choose the informed MPC."
+        }
+    controller = page_controller(base if is_published else kind, _any_car(), world)
+    numbers = _law_numbers(kind, controller) if kind in MADE_BY else _mpc_numbers(kind, controller, world)
+    return {
+        **numbers, "schedule": f"road-{scheduled}" if is_published and scheduled else None,
+        "diagnostics": list(controller.diagnostic_names), "tuning_names": list(controller.tuning_names),
+        "usual": dict(zip(controller.tuning_names, controller.packed_tuning().tolist(), strict=True)),
+    }  # fmt: skip
+
+
+def page_controller(kind: str, car: Vehicle, profile: Profile) -> Controller:
+    """A controller of the page by its name (`CONTROLLER_KINDS`), with its default tuning, for a car in a profile."""
+    loop: dict[str, Any] = {"period": profile.period, "preview": profile.preview}
+    base, _, scheduled = kind.partition("-")
     if kind in MADE_BY:
-        return _law_numbers(kind, world, preview)
-    car = _any_car()
-    if kind == "published":
-        mpc = published_mpc(car, period=world.period, preview=preview)
-        return {"settings": _other_settings(mpc, _WRITTEN), "functions": _functions(mpc)}
-    if kind not in INFORMED_KINDS:
-        kinds = (*INFORMED_KINDS, "published", *MADE_BY)
-        raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
-    learning: Any = Learning() if kind == "learning" else "auto"
-    order, *_ = order_of(car, world, (None, None, learning), None, None, preview)
-    mpc = MPC(car, profile=world, learning=learning, preview=preview)
-    left = _row(order)
-    for part in CAR_FIELDS:
-        del left[part]
-    return {"order": left, "settings": _other_settings(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
+        return MADE_BY[kind][0](car, **loop)
+    if base == "published":
+        return published_mpc(car, scheduler=load_scheduler(f"road-{scheduled}") if scheduled else None, **loop)
+    return MPC(car, profile=profile, learning=Learning() if kind == "learning" else "auto")
 
 
 def _any_car() -> Vehicle:
@@ -350,8 +337,18 @@ def _any_car() -> Vehicle:
     return load_vehicle("paper")
 
 
-def _other_settings(mpc: MPC, written: tuple[str, ...]) -> dict[str, Any]:
-    return {key: value for key, value in mpc.settings()._asdict().items() if key not in written}
+def _mpc_numbers(kind: str, mpc: Any, profile: Profile) -> dict[str, Any]:
+    settings, functions = mpc.settings()._asdict(), _functions(mpc)
+    for name in _WRITTEN:
+        del settings[name]
+    if mpc.is_published:
+        return {"settings": settings, "functions": functions}
+    del settings["preview"]
+    learning: Any = Learning() if kind == "learning" else "auto"
+    order = _row(order_of(mpc.vehicle, profile, (None, None, learning), None, None, profile.preview)[0])
+    for part in CAR_FIELDS:
+        del order[part]
+    return {"order": order, "settings": settings, "functions": functions}
 
 
 def _functions(mpc: MPC) -> dict[str, str | None]:
@@ -363,9 +360,8 @@ def _name(function: Any) -> str | None:
     return None if function is None else getattr(function, "name", function.__name__)
 
 
-def _law_numbers(kind: str, profile: Profile, preview: bool) -> dict[str, Any]:
+def _law_numbers(kind: str, controller: Any) -> dict[str, Any]:
     law, kernel, size = MADE_BY[kind]
-    controller: CompiledController = law(_any_car(), period=profile.period, preview=preview)
     (low, high), (least, most) = controller.limits.move, controller.limits.angle
     arguments = inspect.signature(law).parameters
     tuning = {
@@ -377,7 +373,8 @@ def _law_numbers(kind: str, profile: Profile, preview: bool) -> dict[str, Any]:
             "period": controller.period, "move_min": low, "move_max": high, "angle_min": least, "angle_max": most,
         },
         "tuning": tuning, "made_by": _name(kernel), "size": size, "function": _name(controller.function),
-        "memory": controller.memory_size, "diagnostics": list(controller.diagnostic_names), "preview": preview,
+        "memory": controller.memory_size, "diagnostics": list(controller.diagnostic_names),
+        "preview": controller.preview,
     }  # fmt: skip
 
 
@@ -459,7 +456,7 @@ def packed(values: Any) -> dict[str, Any]:
 
 def image(record: Any) -> dict[str, Any]:
     """A record with all that it holds; what is zero throughout is given by its shape alone."""
-    functions = {kernel.address: name for name, kernel in EXPORTED.items() if "address" in vars(kernel)}
+    functions = kernel_names()
     return {field: _value(kind, getattr(record, field), functions) for field, kind in record.kinds.items()}
 
 

@@ -14,7 +14,6 @@ import logging
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +21,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.base.presentation import content_policy
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 from adaptrack.core import library
 from adaptrack.drive.world import World
-from adaptrack.export.page_data import CONTROLLER_KINDS, INPUTS, page_data
+from adaptrack.export.page_data import CONTROLLER_KINDS, INPUTS, page_controller, page_data
 from adaptrack.export.page_inputs import MAX_PAGE_POINTS, page_car
-from adaptrack.export.page_setup import PAGE_ROADS, controller_of, drive_of
-from adaptrack.road import check_road, load_road
+from adaptrack.export.page_setup import PAGE_ROADS, road_of
+from adaptrack.road import Comfort, check_road, load_road, plan_speed
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -41,27 +40,9 @@ ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
 FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
-MAX_PAGE_SIZE = 3_000_000
-"""bytes of a page"""
 ROAD_SPACING = 2.0
 """m, between the points of a road from a file"""
 SPEED_WORDS = {"constant": "speed (m/s)", "lateral": "lateral_acceleration (m/s^2)"}
-
-
-@dataclass(frozen=True)
-class PageParts:
-    """Parts of the page: markup, style, scripts, kernels and data."""
-
-    html: str
-    css: str
-    script: str
-    """of the page"""
-    engine: str
-    """script of the worker"""
-    kernels: bytes
-    """module of WebAssembly"""
-    data: dict[str, Any]
-    """Data that Python writes into the page."""
 
 
 MOST_CONTROLLERS = 2
@@ -165,37 +146,21 @@ def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle) -> None:
     if not low <= speed <= high:
         raise InvalidInput(f"export_page: {SPEED_WORDS[kind]} = {speed!r}: the page drives {low:g} to {high:g}.")
     profile = load_profile(setup["profile"])
-    drive = drive_of(setup, car)
-    assert isinstance(drive, RoadDrive)
-    for finding in check_road(drive.road, car, drive.plan):
+    road = road_of(setup["road"])
+    plan = RoadDrive(road, speed if kind == "constant" else plan_speed(road, car, Comfort(lateral=speed))).plan
+    for finding in check_road(road, car, plan):
         if not finding.drivable:
             place = f"{setup['road']['name']}, s = {finding.start:.0f} to {finding.end:.0f} m"
             raise InvalidInput(f"export_page: {place}: {finding.text}. Choose another road, car or speed.")
     with _quiet():
         for controller in setup["controllers"]:
-            World.of(DualTrack(car), controller_of(controller, car, profile), profile, None, None, None)
+            World.of(DualTrack(car), page_controller(controller["kind"], car, profile), profile, None, None, None)
 
 
 def _check_name(kind: str, name: str, names: Iterable[str]) -> str:
     if name not in names:
         raise UnknownName(f"export_page: the page has no {kind} {name!r}. {did_you_mean(name, names)}")
     return name
-
-
-def page_parts() -> PageParts:
-    """The parts of the page, before they are packed.
-
-    Raises
-    ------
-    InvalidInput
-        Where the kernels for WebAssembly are not there.
-    """
-    remaining = {path.name for path in PAGE_SOURCES.glob("*.js")} - {*ENGINE, *FIRST_SCRIPTS, *LAST_SCRIPTS}
-    page = (*FIRST_SCRIPTS, *sorted(remaining), *LAST_SCRIPTS)
-    css = _text("viewer.css") + _text("page.css")
-    with _quiet():
-        data = page_data()
-    return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), data)
 
 
 def page_kernels() -> bytes:
@@ -237,36 +202,39 @@ def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = N
     StorageError
         When it cannot be written.
     """
-    file = Path(path)
-    if file.is_dir():
-        raise StorageError(f"{file}: cannot be written to: is a folder; name a file.")
-    try:
-        write_atomically(file, page_html(page_parts(), setup).encode())
-    except OSError as error:
-        raise StorageError(f"{file}: cannot be written to: {error.strerror or error}.") from error
-    return file
+    write_atomically(path, page_html(setup).encode())
+    return Path(path)
 
 
-def page_html(parts: PageParts, setup: Mapping[str, Any] | None = None) -> str:
-    """The page as text."""
-    data = parts.data if setup is None else {**parts.data, "setup": dict(setup)}
-    packed = {
-        "engine": parts.engine.encode(), "kernels": parts.kernels,
+def page_html(setup: Mapping[str, Any] | None = None) -> str:
+    """The page as text; setup: what it begins with.
+
+    Its Content-Security-Policy lets this script, its worker and its kernels run, and nothing be loaded from anywhere.
+
+    Raises
+    ------
+    InvalidInput
+        Where the kernels for WebAssembly are not there.
+    """
+    remaining = {path.name for path in PAGE_SOURCES.glob("*.js")} - {*ENGINE, *FIRST_SCRIPTS, *LAST_SCRIPTS}
+    script = _together((*FIRST_SCRIPTS, *sorted(remaining), *LAST_SCRIPTS))
+    css = _text("viewer.css") + _text("page.css")
+    with _quiet():
+        data = page_data() | ({} if setup is None else {"setup": dict(setup)})
+    parts = {
+        "engine": _together(ENGINE).encode(), "kernels": page_kernels(),
         "data": json.dumps(data, separators=(",", ":"), allow_nan=False).encode(),
     }  # fmt: skip
     carried = "".join(
         f'<script type="application/gzip" id="part-{name}">'
         f"{base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()}</script>\n"
-        for name, content in packed.items()
+        for name, content in parts.items()
     )
-    html = _once(parts.html, "<head>", f'<head>\n<meta http-equiv="Content-Security-Policy" content="{policy(parts)}">')
-    html = _once(html, "</head>", f"<style>\n{parts.css}</style>\n</head>")
-    return _once(html, "</body>", f"{carried}<script>{parts.script}</script>\n</body>")
-
-
-def policy(parts: PageParts) -> str:
-    """The Content-Security-Policy: this script, its worker and its kernels run, and nothing is loaded from anywhere."""
-    return content_policy([parts.script], "'wasm-unsafe-eval'", "worker-src blob:")
+    policy = content_policy([script], "'wasm-unsafe-eval'", "worker-src blob:")
+    head = f'<head>\n<meta http-equiv="Content-Security-Policy" content="{policy}">'
+    html = _once(_text("page.html"), "<head>", head)
+    html = _once(html, "</head>", f"<style>\n{css}</style>\n</head>")
+    return _once(html, "</body>", f"{carried}<script>{script}</script>\n</body>")
 
 
 def _text(name: str) -> str:

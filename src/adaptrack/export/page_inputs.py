@@ -93,7 +93,10 @@ def page_car(vehicle: Vehicle, tyre: Tyre | None = None) -> dict[str, Any]:
 
 
 def _tyre(tyre: Tyre) -> dict[str, Any]:
-    return {"name": tyre.name, "numbers": tyre_numbers(tyre)}
+    """A tyre with its row of `core.synthesis.plant.TyreRow` by name; None for NaN."""
+    row = tyre.numbers
+    numbers = {name: None if math.isnan(row[name]) else row[name].item() for name in plant.TyreRow._fields}
+    return {"name": tyre.name, "numbers": numbers}
 
 
 def plain(value: Any) -> Any:
@@ -105,12 +108,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
     return value.item() if isinstance(value, np.generic) else value
-
-
-def tyre_numbers(tyre: Tyre) -> dict[str, Any]:
-    """A row of `core.synthesis.plant.TyreRow` by name; None for NaN."""
-    row = tyre.numbers
-    return {name: None if math.isnan(row[name]) else row[name].item() for name in plant.TyreRow._fields}
 
 
 def _is_section(field: FieldInfo) -> bool:

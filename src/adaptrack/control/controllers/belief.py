@@ -83,11 +83,6 @@ class Belief(_BeliefEntries):  # type: ignore[misc]
         return tuple(field.name for field in _ENTRIES if getattr(self, field.name).source in unknown)
 
     @property
-    def is_cautious(self) -> bool:
-        """Whether the delay of the steering, lag or dead time, is assumed."""
-        return bool({"lag", "dead_time"} & set(self.assumed))
-
-    @property
     def row(self) -> Any:
         """A row of `core.synthesis.belief.BeliefRow`, whose sources tell what is assumed."""
         row = kernel.BeliefRow.new(1, computation=self.computation.value)[0]

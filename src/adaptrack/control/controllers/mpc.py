@@ -475,7 +475,7 @@ class MPC(Controller):
         return copy.deepcopy(self)
 
     def mismatches(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> list[str]:
-        """Differences between the scheduler's scope and this controller, see `made_for.mismatches`.
+        """Differences between the scheduler's scope and this controller, see `compatibility.mismatches`.
 
         profile: its name; plant: what is driven, whose car may be another than the controller's.
         """

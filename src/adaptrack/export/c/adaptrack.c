@@ -338,25 +338,9 @@ size_t adaptrack_size(const void *constants, size_t size) {
 
 const char *adaptrack_version(void) { return ADAPTRACK_VERSION; }
 
-#define NAME(error) \
-    case error: return #error
 const char *adaptrack_error_name(adaptrack_error error) {
     switch (error) {
-        NAME(ADAPTRACK_OK);
-        NAME(ADAPTRACK_BAD_ARGUMENT);
-        NAME(ADAPTRACK_TOO_SMALL);
-        NAME(ADAPTRACK_NOT_READY);
-        NAME(ADAPTRACK_BUSY);
-        NAME(ADAPTRACK_DAMAGED);
-        NAME(ADAPTRACK_OTHER_VERSION);
-        NAME(ADAPTRACK_OTHER_KIND);
-        NAME(ADAPTRACK_OTHER_SIZES);
-        NAME(ADAPTRACK_OTHER_CONSTANTS);
-        NAME(ADAPTRACK_OTHER_PATH);
-        NAME(ADAPTRACK_ARITHMETIC);
-        NAME(ADAPTRACK_BAD_PATH);
-        NAME(ADAPTRACK_OUT_OF_ORDER);
-        NAME(ADAPTRACK_BAD_PLAN);
+@ERROR_NAMES@
     }
     return "an unknown error";
 }

@@ -154,44 +154,20 @@ PUBLIC(fmi2DoStep)(ME, fmi2Real time, fmi2Real size, fmi2Boolean settled) {
 }
 
 /* -- the state ---------------------------------------------------------------------------------------------------- */
-PUBLIC(fmi2GetFMUstate)(ME, fmi2FMUstate *state) {
-    size_t size;
-    if (!me || !state) return fmi2Error;
-    size = fmu_state_size(me);
-    if (!*state) *state = malloc(size);
-    return *state ? (fmi2Status)fmu_save(me, *state, size) : (fmi2Status)fmu_refuse(me, "no memory");
-}
-
-PUBLIC(fmi2SetFMUstate)(ME, fmi2FMUstate state) {
-    return me ? (fmi2Status)fmu_restore(me, state) : fmi2Error;
-}
-
-PUBLIC(fmi2FreeFMUstate)(ME, fmi2FMUstate *state) {
-    if (!state) return fmi2Error;
-    free(*state);
-    *state = NULL;
-    return fmi2OK;
-}
+PUBLIC(fmi2GetFMUstate)(ME, fmi2FMUstate *state) { return (fmi2Status)fmu_save(me, state); }
+PUBLIC(fmi2SetFMUstate)(ME, fmi2FMUstate state) { return (fmi2Status)fmu_restore(me, state); }
+PUBLIC(fmi2FreeFMUstate)(ME, fmi2FMUstate *state) { return (fmi2Status)fmu_free_state(state); }
 
 PUBLIC(fmi2SerializedFMUstateSize)(ME, fmi2FMUstate state, size_t *size) {
-    if (!me || !size) return fmi2Error;
-    *size = fmu_state_size(me);
-    return fmi2OK;
+    return (fmi2Status)fmu_serialised_size(me, size);
 }
 
 PUBLIC(fmi2SerializeFMUstate)(ME, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
-    if (!me || !state || !bytes || size < fmu_state_size(me)) return fmi2Error;
-    memcpy(bytes, state, fmu_state_size(me));
-    return fmi2OK;
+    return (fmi2Status)fmu_serialise(me, state, bytes, size);
 }
 
 PUBLIC(fmi2DeSerializeFMUstate)(ME, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
-    if (!me || !bytes || !state || size != fmu_state_size(me))
-        return (fmi2Status)fmu_refuse(me, "the state is of another FMU");
-    if (!*state) *state = malloc(size);
-    if (!*state) return fmi2Error;
-    memcpy(*state, bytes, size);
-    return fmi2OK;
+    return (fmi2Status)fmu_deserialise(me, bytes, size, state);
 }
 
 /* -- what a unit does not have ------------------------------------------------------------------------------------ */

@@ -2,7 +2,6 @@
 #include "fmu.h"
 
 #include <stdbool.h>
-#include <stdlib.h>
 #ifdef ADAPTRACK_STANDARD_HEADERS /* that the types are those of the standard, a compiler says with its headers */
 #include "fmi3Functions.h"
 #else
@@ -157,46 +156,20 @@ PUBLIC(fmi3DoStep)(ME, fmi3Float64 time, fmi3Float64 size, fmi3Boolean settled, 
 }
 
 /* -- the state ---------------------------------------------------------------------------------------------------- */
-PUBLIC(fmi3GetFMUState)(ME, fmi3FMUState *state) {
-    size_t size;
-    if (!instance || !state) return fmi3Error;
-    size = fmu_state_size(instance);
-    if (!*state) *state = malloc(size);
-    return *state ? (fmi3Status)fmu_save(instance, *state, size) : (fmi3Status)fmu_refuse(instance, "no memory");
-}
-
-PUBLIC(fmi3SetFMUState)(ME, fmi3FMUState state) {
-    return instance ? (fmi3Status)fmu_restore(instance, state) : fmi3Error;
-}
-
-PUBLIC(fmi3FreeFMUState)(ME, fmi3FMUState *state) {
-    if (!state) return fmi3Error;
-    free(*state);
-    *state = NULL;
-    return fmi3OK;
-}
+PUBLIC(fmi3GetFMUState)(ME, fmi3FMUState *state) { return (fmi3Status)fmu_save(instance, state); }
+PUBLIC(fmi3SetFMUState)(ME, fmi3FMUState state) { return (fmi3Status)fmu_restore(instance, state); }
+PUBLIC(fmi3FreeFMUState)(ME, fmi3FMUState *state) { return (fmi3Status)fmu_free_state(state); }
 
 PUBLIC(fmi3SerializedFMUStateSize)(ME, fmi3FMUState state, size_t *size) {
-    if (!instance || !size) return fmi3Error;
-    *size = fmu_state_size(instance);
-    return fmi3OK;
+    return (fmi3Status)fmu_serialised_size(instance, size);
 }
 
 PUBLIC(fmi3SerializeFMUState)(ME, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
-    if (!instance || !state || !bytes || size < fmu_state_size(instance)) return fmi3Error;
-    for (size_t i = 0; i < fmu_state_size(instance); i++) bytes[i] = ((const fmi3Byte *)state)[i];
-    return fmi3OK;
+    return (fmi3Status)fmu_serialise(instance, state, bytes, size);
 }
 
 PUBLIC(fmi3DeserializeFMUState)(ME, const fmi3Byte bytes[], size_t size, fmi3FMUState *state) {
-    fmi3Byte *made;
-    if (!instance || !bytes || !state || size != fmu_state_size(instance))
-        return (fmi3Status)fmu_refuse(instance, "the state is of another FMU");
-    made = *state ? *state : malloc(size);
-    if (!made) return fmi3Error;
-    for (size_t i = 0; i < size; i++) made[i] = bytes[i];
-    *state = made;
-    return fmi3OK;
+    return (fmi3Status)fmu_deserialise(instance, bytes, size, state);
 }
 
 /* -- what a unit does not have ------------------------------------------------------------------------------------ */

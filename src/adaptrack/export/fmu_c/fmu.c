@@ -105,7 +105,7 @@ static int is_of(const char *token, const void *constants, size_t size) {
 }
 
 /* -- an instance -------------------------------------------------------------------------------------------------- */
-/* The words of the constants (adaptrack.export.image): those of the memory, where its state begins, places and links,
+/* The words of the constants (adaptrack.export.fmu): those of the memory, where its state begins, places and links,
    then which word holds which address, and the memory. */
 enum { WORDS = ADAPTRACK_FILE_HEAD, STATE, PLACES, LINKS, FIXES, HEAD_WORDS = sizeof(adaptrack_head) / 8 };
 
@@ -296,28 +296,63 @@ typedef struct {
     uint64_t sum;
 } saved;
 
-size_t fmu_state_size(const fmu *f) { return sizeof(saved) + adaptrack_saved_size(f->memory); }
+static size_t state_size(const fmu *f) { return sizeof(saved) + adaptrack_saved_size(f->memory); }
 
-fmu_status fmu_save(fmu *f, void *state, size_t size) {
-    saved head = {fmu_state_size(f), (int64_t)f->mode, f->stale, f->start, f->end, 0};
-    char *rest = (char *)state + sizeof head;
-    if (!state || size < head.size) return refuse_status(f, ADAPTRACK_BAD_ARGUMENT);
+/* Memory for a state, unless the master brings some. */
+static fmu_status provide(const fmu *f, void **state) {
+    if (!*state) *state = malloc(state_size(f));
+    return *state ? FMU_OK : fmu_refuse(f, "no memory");
+}
+
+fmu_status fmu_save(fmu *f, void **state) {
+    saved head;
+    if (!f || !state || provide(f, state) != FMU_OK) return FMU_ERROR;
+    head.size = state_size(f), head.mode = (int64_t)f->mode, head.stale = f->stale;
+    head.start = f->start, head.end = f->end;
     head.sum = adaptrack_crc32(&head, offsetof(saved, sum));
-    memcpy(state, &head, sizeof head);
-    return refuse_status(f, adaptrack_save_state(f->memory, rest, size - sizeof head));
+    memcpy(*state, &head, sizeof head);
+    return refuse_status(f, adaptrack_save_state(f->memory, (char *)*state + sizeof head,
+                                                 (size_t)head.size - sizeof head));
 }
 
 fmu_status fmu_restore(fmu *f, const void *state) {
     saved head;
     fmu_status status;
+    if (!f) return FMU_ERROR;
     if (!state) return refuse_status(f, ADAPTRACK_BAD_ARGUMENT);
     memcpy(&head.size, state, sizeof head.size);
-    if (head.size != fmu_state_size(f)) return fmu_refuse(f, "the state is of another FMU");
+    if (head.size != state_size(f)) return fmu_refuse(f, "the state is of another FMU");
     memcpy(&head, state, sizeof head);
     if (head.sum != adaptrack_crc32(&head, offsetof(saved, sum))) return fmu_refuse(f, "the state is damaged");
     status = refuse_status(f, adaptrack_restore_state(f->memory, (const char *)state + sizeof head,
                                                        (size_t)head.size - sizeof head));
     if (status != FMU_OK) return status;
     f->mode = (fmu_mode)head.mode, f->stale = (int)head.stale, f->start = head.start, f->end = head.end;
+    return FMU_OK;
+}
+
+fmu_status fmu_free_state(void **state) {
+    if (!state) return FMU_ERROR;
+    free(*state);
+    *state = NULL;
+    return FMU_OK;
+}
+
+fmu_status fmu_serialised_size(const fmu *f, size_t *size) {
+    if (!f || !size) return FMU_ERROR;
+    *size = state_size(f);
+    return FMU_OK;
+}
+
+fmu_status fmu_serialise(const fmu *f, const void *state, void *bytes, size_t size) {
+    if (!f || !state || !bytes || size < state_size(f)) return FMU_ERROR;
+    memcpy(bytes, state, state_size(f));
+    return FMU_OK;
+}
+
+fmu_status fmu_deserialise(const fmu *f, const void *bytes, size_t size, void **state) {
+    if (!f || !bytes || !state || size != state_size(f)) return fmu_refuse(f, "the state is of another FMU");
+    if (provide(f, state) != FMU_OK) return FMU_ERROR;
+    memcpy(*state, bytes, size);
     return FMU_OK;
 }

@@ -62,9 +62,13 @@ fmu_status fmu_terminate(fmu *);
 fmu_status fmu_step(fmu *, double time, double size);
 fmu_status fmu_set(fmu *, uint32_t reference, int type, double value);
 fmu_status fmu_get(fmu *, uint32_t reference, int type, double *value);
-size_t fmu_state_size(const fmu *);
-fmu_status fmu_save(fmu *, void *state, size_t size);
+/* A state, in memory of its own where *state is null, and its bytes. */
+fmu_status fmu_save(fmu *, void **state);
 fmu_status fmu_restore(fmu *, const void *state);
+fmu_status fmu_free_state(void **state);
+fmu_status fmu_serialised_size(const fmu *, size_t *size);
+fmu_status fmu_serialise(const fmu *, const void *state, void *bytes, size_t size);
+fmu_status fmu_deserialise(const fmu *, const void *bytes, size_t size, void **state);
 /* FMU_ERROR, and a sentence to the logger, formatted as by printf. */
 fmu_status fmu_refuse(const fmu *, const char *format, ...);
 #endif

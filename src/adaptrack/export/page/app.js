@@ -1,7 +1,7 @@
 "use strict";
 // The page: it owns the engine, the drive and the clock, and tells every other part what has changed.
 //
-//   page = {data, engine, setup, drive, clock, view}     drive: {started, history, over, busy, touched}, or null
+//   page = {data, engine, setup, drive, clock, view}     drive: {history, over, busy, touches}, or null
 //     start(setup)      a drive from its start; the setup is kept, also as the page's address
 //     advance(n)        n control periods more, as fast as they come
 //     change(car, what) a touch; car: 0, 1, or null for the world
@@ -130,9 +130,9 @@ function engineDied(why) {
 }
 
 let requests = 0;
-async function start(setup, {playing = null, keepNotice = false} = {}) {
+async function start(setup, {playing = null} = {}) {
   const number = ++requests, plays = playing ?? page.clock.playing, before = page.setup;
-  if (!keepNotice) page.notice("");
+  page.notice("");
   try {
     return await begun(setup, number, plays);
   } catch (error) {
@@ -163,8 +163,8 @@ async function begun(setup, number, plays) {
 
 function beginDrive(started) {
   const history = makeHistory(started, {shades: TRAIL});
-  history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
-  return {started, history, busy: false, over: false, touches: []};
+  history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind); });
+  return {history, busy: false, over: false, touches: []};
 }
 
 const WHERE = {
@@ -390,7 +390,7 @@ function showPictures() {
     page.plots.show(history);
   } else {
     page.view = makeRoadView(byId("road-canvas"), history, clock, {onpush: pushByDrag});
-    page.plots = makePlots(byId("plots"), history, clock, PLOTS, {span: 20});
+    page.plots = makePlots(byId("plots"), history, clock);
     makeTransport(byId("transport"), clock, {keys: byId("drive"), view: page.view});
     setUpLooks();
   }

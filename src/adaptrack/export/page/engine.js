@@ -2,7 +2,7 @@
 //
 //   -> {type: "load", kernels, data}             the module's bytes, and what Python wrote (`page_data`)
 //                                                <- {type: "loaded"}
-//   -> {type: "start", id, setup}                <- {type: "started", id, period, duration, laps, road, cars, plan}
+//   -> {type: "start", id, setup}                <- {type: "started", id, period, duration, road, cars}
 //   -> {type: "advance", id, periods}            <- {type: "frames", id, first, count, cars}
 //   -> {type: "change", id, car, what}           <- {type: "changed", id}
 //   -> {type: "read", id, what, text, name}     <- {type: "read", id, what, ...}; what: "car file", "csv": see inputs.js
@@ -176,29 +176,24 @@ function end(ended) {
 }
 
 function started(id, { world, of, samples, cars, car }) {
-  const { plan, laps, duration } = samples;
   return {
-    type: "started", id, period: world.period, duration, laps, road: drawn(of),
-    plan: plan && { s: plan.s.values.slice(), speed: plan.speed.values.slice() },
+    type: "started", id, period: world.period, duration: samples.duration, road: drawn(of),
     cars: cars.map((entry) => ({
       name: entry.entry.kind,
-      words: entry.controller.known.words,
       columns: entry.columns,
       horizon: entry.horizon,
       moves: entry.moves,
       outline: car.outline,
       limits: limitsOf(entry),
-      tuning: namedTuning(entry),
       belief: beliefOf(entry),
-      truth: truthOf(entry.world),
     })),
   };
 }
 
-/** What bounds a controller, to either side: changes of its command in a period and the command (rad); horizons. */
+/** What bounds a controller, to either side: changes of its command in a period and the command (rad). */
 function limitsOf(own) {
   const { known, law } = own.controller, from = law ? known.common : own.run.controller.mpc.settings;
-  return { move: real(from.move_max), angle: real(from.angle_max), Np: own.horizon, Nc: own.moves };
+  return { move: real(from.move_max), angle: real(from.angle_max) };
 }
 const namedTuning = (car) =>
   Object.fromEntries(car.controller.known.tuning_names.map((name, k) => [name, car.controller.tuning[k]]));
@@ -208,7 +203,6 @@ function beliefOf({ controller }) {
   const { lag, dead_time } = controller.parts.belief.steering;
   return { lag, dead_time };
 }
-const truthOf = ({ actuator }) => ({ lag: actuator.lag, dead_time: actuator.dead_time, bias: actuator.bias });
 
 // -- frames -----------------------------------------------------------------------------------------------------------
 function advance({ id, periods }) {

@@ -10,8 +10,8 @@
 //             columns: {time, x, y, yaw, ...: typed arrays; the first `count` entries count},
 //             predicted(i) -> null | {x, y, count},                    world, m; a view, valid until the next call
 //             moves(i) -> null | {values, count, least, most}}],       rad; likewise
-//     events: [{time, text, car?}],                                    marked on the road and in the plots
-//     patches: [{from, to, friction}],                                 m; of ice; or {x, y}: a polygon
+//     events: [{time, text}],                                          marked on the road and in the plots
+//     patches: [{from, to, friction}],                                 m; of ice
 //     truth: {belief_lag: [{time, value}], ...},         what is true from a time on, by the column of the belief
 //   }
 //

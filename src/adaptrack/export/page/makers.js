@@ -3,7 +3,7 @@
 //   carOf(setup.car)                            -> { name, numbers, rows, outline, domain }
 //   worldOf(setup.profile, setup.truth)         -> { period, settings, actuator, ... }
 //   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
-//   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
+//   samplesOf(setup, road, car, world)          -> { signals, periods, plan, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
 //   speedControlOf(entry, car, controller, { world, of, samples, setup }, where)      -> { record, ends, grip, climb }
 //
@@ -30,6 +30,12 @@ function mine(made) {
 }
 function forget(list) {
   list.splice(0).forEach((part) => memory.free(part));
+}
+
+/** The entry of a table that has this name, or a refusal with the names that there are. */
+function named(table, name, kind, where = kind.split(" ")[0]) {
+  if (table[name]) return table[name];
+  throw new Refusal(where, `There is no ${kind} “${name}”: choose one of ${Object.keys(table).join(", ")}.`);
 }
 
 /** A number as Python writes it: JSON has no infinity. */
@@ -65,13 +71,7 @@ const NO_CAR = "The numbers of the car do not belong together: write its file ag
 function carOf(given) {
   if (given?.sheet) return carOfSheet(given.sheet);
   if (given?.file) return carOfFile(readBy("car", () => inputs.checkedCar(given.file, written.inputs)));
-  const builtIn = written.cars[given?.name];
-  if (!builtIn)
-    throw new Refusal(
-      "car",
-      `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`,
-    );
-  return carOfFile(builtIn);
+  return carOfFile(named(written.cars, given?.name, "car named"));
 }
 
 /** What throws InputErrors, as a refusal. */
@@ -146,15 +146,10 @@ function carOfRows(car, within) {
 const STEERING = ["lag", "dead_time", "bias"];
 
 function worldOf(name, truth) {
-  const profile = written.profiles[name];
-  if (!profile)
-    throw new Refusal(
-      "profile",
-      `There is no profile named “${name}”: choose one of ${Object.keys(written.profiles).join(", ")}.`,
-    );
+  const profile = named(written.profiles, name, "profile named");
   const { period, delay, remembered, plants, requested, speed_requests } = profile;
   const world = {
-    name, period, delay, remembered, plants, requested, speed_requests, usual: profile.settings, sees_vy: real(profile.settings.noise_vy) < Infinity,
+    name, period, delay, remembered, plants, requested, speed_requests, usual: profile.settings,
     actuator: copied("synthesis.plant.Actuator", profile.actuator), usual_actuator: profile.actuator,
     mass: 1,
     settings: Object.fromEntries(Object.entries(profile.settings).map(([key, value]) => [key, real(value)])),
@@ -213,12 +208,7 @@ function settingsOf(car, world, plant) {
 function roadOf(given) {
   if (given?.test !== undefined) return testOf(given.test);
   if (Array.isArray(given?.points)) return roadThrough(given);
-  const builtIn = written.roads[given?.name];
-  if (!builtIn)
-    throw new Refusal(
-      "road",
-      `There is no road named “${given?.name}”: choose one of ${Object.keys(written.roads).join(", ")}.`,
-    );
+  const builtIn = named(written.roads, given?.name, "road named");
   const arrays = ["numbers", "start", "pieces"].map((name) =>
     mine(memory.array("F", builtIn[name].shape, unpackedNumbers(builtIn[name].f8))),
   );
@@ -256,11 +246,11 @@ function road(said, numbers, start, pieces, headings, fresh) {
   };
 }
 
-const MOST_POINTS = 20000, MOST_WORDS = 2e7;
+const MOST_WORDS = 2e7;
 function roadThrough({ points, closed = false, name = "points" }) {
   const refuse = (text) => { throw new Refusal("road", text); };
-  if (points.length > MOST_POINTS)
-    refuse(`The road has ${points.length} points: at most ${MOST_POINTS} are taken; leave out some.`);
+  const { most } = written.inputs.points;
+  if (points.length > most) refuse(`The road has ${points.length} points: at most ${most} are taken; leave out some.`);
   const flat = Float64Array.from(points.flatMap((point) => [Number(point?.[0]), Number(point?.[1])]));
   const array = mine(memory.array("F", [points.length, 2], flat));
   let size = memory.call("path_words", array, closed ? 1 : 0);
@@ -286,13 +276,7 @@ function roadThrough({ points, closed = false, name = "points" }) {
 }
 
 function testOf(name) {
-  const scenario = written.tests[name];
-  if (!scenario)
-    throw new Refusal(
-      "road",
-      `There is no test named “${name}”: choose one of ${Object.keys(written.tests).join(", ")}.`,
-    );
-  return { ...scenario, name, test: true, closed: false };
+  return { ...named(written.tests, name, "test named", "road"), name, test: true, closed: false };
 }
 
 /** Centre line and edges, for drawing. */
@@ -396,7 +380,7 @@ function checked(where, name, value) {
   throw new Refusal(where, `${written.words.named[name]} is ${value}: it must be a number from ${low} to ${high}.`);
 }
 
-/** What happens at the instants: { signals, periods, plan, laps, pose, duration }. */
+/** What happens at the instants: { signals, periods, plan, pose, duration }. */
 function samplesOf(setup, of, car, world) {
   if (of.test) return samplesOfTest(of, world, setup.truth ?? {});
   const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
@@ -429,7 +413,7 @@ function samplesOf(setup, of, car, world) {
   const signals = mine(memory.array("F", [written.sizes.signals, periods + 1])), pose = mine(memory.array("F", [3]));
   memory.call("drive_samples", drive, signals);
   memory.call("drive_start", of.line, 0, 0, pose);
-  return { signals, periods, plan, laps, pose: [...pose.values], duration: periods * period };
+  return { signals, periods, plan, pose: [...pose.values], duration: periods * period };
 }
 
 const slopeOf = ({ slope }) => (slope == null ? 0 : checked("truth", "slope", slope));
@@ -452,20 +436,14 @@ function samplesOfTest(of, world, truth) {
     put(wheel, "friction", truth.friction == null ? null : checked("truth", "friction", truth.friction));
   put("wind_y", "wind", truth.wind == null ? null : checked("truth", "wind", truth.wind));
   memory.call("complete_samples", world.period, signals);
-  return { signals, periods, plan: null, laps: 1, pose: of.start, duration: periods * world.period };
+  return { signals, periods, plan: null, pose: of.start, duration: periods * world.period };
 }
 const WHEELS = ["friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right"];
 
 // -- controller -------------------------------------------------------------------------------------------------------
 /** A controller of a setup: an MPC or a law, ready to be laid into a run. */
 function controllerOf(entry, car, world, where) {
-  const template = written.controllers[entry?.kind]?.[world.name];
-  if (!template)
-    throw new Refusal(
-      where,
-      `There is no controller of the kind “${entry?.kind}”: choose one of ` +
-        `${Object.keys(written.controllers).join(", ")}.`,
-    );
+  const template = named(written.controllers, entry?.kind, "controller of the kind", where)[world.name];
   if (template.refused) throw new Refusal(where, template.refused);
   const believed = carKnownTo(entry, car);
   return template.common ? lawOf(entry, template, believed, where) : mpcOf(entry, template, believed, world, where);

@@ -3,7 +3,6 @@
 //   const memory = new Memory(exports, layouts, calls)   exports: of the module; layouts, calls: as Python writes them
 //   memory.make(name, given)        a record at a place of its own, with all its arrays, zero but for what is given
 //   memory.array(kind, shape)       an array at a place of its own; kind: "F" of float64, "I" of int64
-//   memory.rows(name, count)        rows of a record of numbers
 //   memory.free(each)               give the place of one of these back
 //   memory.call(kernel, ...)        call a kernel with records, arrays and numbers; several answers come as an array
 //   memory.link(kernel)             its address, as records hold it
@@ -113,12 +112,9 @@ class Memory {
     if (values) block.values.set(values);
     return block;
   }
-  rows(name, count = 1) {
-    return this.array(name, [count]);
-  }
   /** One row of a record of numbers, with what is given. */
   row(name, given = {}) {
-    const block = this.rows(name, 1), row = block.row(0);
+    const block = this.array(name, [1]), row = block.row(0);
     row.$place = block.place;
     this._fill(row, given);
     return row;

@@ -2,11 +2,10 @@
 // Small plots over time, one cursor through all of them and the road. Needs history.js, the palette of viewer.js, and a
 // clock.
 //
-//   plots = makePlots(box, history, clock, specs, options)
-//     options: span: s of the window, 0: all
+//   plots = makePlots(box, history, clock)
 //     show(history)          another drive
-//     setSpan(seconds)       10, 20, 60, ...; 0: all
-//     choose(names)          which of the specs are shown, by name; null: all that the drive has columns for
+//     setSpan(seconds)       of the window: 20 at first; 0: all
+//     choose(names)          which of PLOTS are shown, by name; null: all that the drive has columns for
 //     list                   the plots shown; each: {name, toPixel(t, value), toValue(px, py), describe(),
 //                            decimated(line): the indices of the samples that are drawn}
 //     describe()             what all plots show at the cursor, in sentences
@@ -17,13 +16,13 @@
 //                                                 the column `unless`); a second car has its
 //                                                 own colour and dashes; or: the column where there is no such one;
 //                                                 ink: a truth. A car without the first of them has no line
-//           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
+//           limits: [{value, label}] | history => [...],   drawn where within the axis
 //           band: {column, sigma, k, ratio},      value +- k sigma, or times exp(+-k sigma) (ratio)
 //           truth: name,                          in history.truth
 //           asked: true,                          shown only where `choose` names it
 //           marks: {column, label}}               where a count grows: a mark below
 //        or {name, kind: "moves", title, unit, digits, scale}     the planned moves at the cursor against their limits
-//   PLOTS holds those of the house; `specsFor(history, specs, names)` gives those that a drive has the columns for.
+//   PLOTS holds them; `specsFor(history, names)` gives those that a drive has the columns for.
 //
 //   A plot is a slider of time: arrows, page up/down, home, end move the cursor, Enter and a click seek, Escape leaves.
 
@@ -96,11 +95,11 @@ const PLOTS = [
 
 const columnOf = (car, line) => car.columns[line.column] ? line.column : car.columns[line.or] ? line.or : null;
 
-// Those of the specs, by name or all, that the drive has something for.
-function specsFor(history, specs = PLOTS, names = null) {
+// Those of PLOTS, by name or all, that the drive has something for.
+function specsFor(history, names) {
   const drawn = (spec, car) => spec.kind === "moves" ? car.plans?.width : columnOf(car, spec.lines[0]);
   const has = spec => history.cars.some(car => drawn(spec, car));
-  return specs.filter(spec => has(spec) && (names ? names.includes(spec.name) : !spec.asked));
+  return PLOTS.filter(spec => has(spec) && (names ? names.includes(spec.name) : !spec.asked));
 }
 
 // ±limit of the first car that says one.
@@ -312,7 +311,6 @@ function makeTimePlot(spec, history, clock, window_) {
         take(edge(car, i, 1));
       }
     }
-    if (spec.reach) for (const limit of limits) take(limit.value * scale);
     return [low, high];
   }
 
@@ -771,8 +769,8 @@ const STEPS = 300;  // of a window: what moves by less is not drawn anew while i
 const TELL = 120;  // ms between two changes of the words while it plays
 const AT_ONCE = 4, AT_ONCE_SLOW = 2, SLOW = 20;  // plots drawn anew in a frame; where frames take longer than SLOW ms
 
-function makePlots(box, history, clock, specs = null, options = {}) {
-  const plots = {list: [], show, setSpan, choose, describe, draw, span: options.span ?? 20};
+function makePlots(box, history, clock) {
+  const plots = {list: [], show, setSpan, choose, describe, draw, span: 20};
   let chosen = null, from = 0, toldAt = -Infinity, told = NaN, painted = NaN, seen = null, before = 0, pace = 0;
   box.classList.add("plots");
 
@@ -806,7 +804,7 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   function build() {
     observer.disconnect();
     from = clock.start;
-    plots.list = specsFor(history, specs ?? PLOTS, chosen).map(spec =>
+    plots.list = specsFor(history, chosen).map(spec =>
       spec.kind === "moves" ? makeMovesPlot(spec, history, clock) : makeTimePlot(spec, history, clock, windowNow));
     box.replaceChildren(...plots.list.map(plot => plot.figure));
     for (const plot of plots.list) {

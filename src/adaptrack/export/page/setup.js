@@ -44,9 +44,7 @@ const copyOf = value => structuredClone(value);
 
 // ---- names
 
-const namesIn = (entries, defaults) => !entries ? Object.keys(defaults)
-  : Array.isArray(entries) ? entries.map(entry => entry.name ?? entry) : Object.keys(entries);
-const nameOfController = (kind, names = CONTROLLERS) => names[kind] ?? kind;
+const nameOfController = kind => SHORT[kind] ?? kind;
 const carName = car => car.name ? CARS[car.name] ?? car.name
   : car.sheet ? `car of ${car.sheet.mass} kg` : `car of the file ${car.file?.name ?? ""}`.trim();
 const roadName = road => road.test ? TESTS[road.test] ?? road.test
@@ -55,7 +53,7 @@ const roadName = road => road.test ? TESTS[road.test] ?? road.test
 // What tells it from the one beside it.
 function nameOfCar(i) {
   const {controllers} = page.setup, {kind, belief, told, tuning, speed_control} = controllers[i] ?? {}, other = controllers[1 - i];
-  const short = nameOfController(kind, SHORT), own = kind === "informed" ? "MPC" : short;
+  const short = nameOfController(kind), own = kind === "informed" ? "MPC" : short;
   if (told) return `${own} that is told the lag`;
   if (isSet(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
   if (other?.kind !== kind) return short;
@@ -72,10 +70,10 @@ function fill(select, choices, chosen) {
 
 function showChoices() {
   const {setup, data} = page, {car, road} = setup;
-  const cars = namesIn(data.cars, CARS).map(name => [name, CARS[name] ?? name]);
+  const cars = Object.keys(data.cars).map(name => [name, CARS[name] ?? name]);
   if (!car.name) cars.unshift(["own", carName(car)]);
   fill(byId("setup-car"), [...cars, ["sheet", "car of your own: mass, wheelbase …"], ["file", "car from a file …"]], car.name ?? "own");
-  const roads = namesIn(data.roads, ROADS).filter(name => !TESTS[name]).map(name => [`name:${name}`, ROADS[name] ?? name]);
+  const roads = Object.keys(data.roads).map(name => [`name:${name}`, ROADS[name] ?? name]);
   if (road.points) roads.unshift(["own", road.name || "your own road"]);
   const tests = Object.entries(TESTS).map(([name, text]) => [`test:${name}`, text]);
   fill(byId("setup-road"), [...roads, ...tests, ["draw", "a road drawn by hand …"], ["file", "a road from a CSV file …"]],

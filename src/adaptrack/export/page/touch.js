@@ -219,8 +219,8 @@ function tellTruth(name, value, time = page.clock.end) {
 // ---- a push, a pull, ice, sensors
 
 // Whether it was done.
-function once(what, text, car = null, detail = {}) {
-  page.drive?.touches.push({...what, ...detail});
+function once(what, text, car = null) {
+  page.drive?.touches.push(what);
   const changed = change(car, what, {text});
   page.tell("touched", {id: Object.keys(what)[0]}, what);
   return changed;

@@ -5,7 +5,6 @@
 //   view = makeRoadView(canvas, history, clock, options)
 //     options: onpush(car, {x, y})   a car was dragged aside, m in its axes (x ahead, y to the left); without it a drag
 //                                    on a car moves the picture
-//              ring                  s of trail while the car is followed, 60 if left out
 //     show(history)          another drive
 //     followCar(), showWhole(), look({x, y, scale}), zoom(factor, px?, py?), pan(dx, dy), choose(car)
 //     follow, whole, chosen, scale, x, y, width, height   what is shown (read only)
@@ -85,6 +84,7 @@ function makeBounds() {
 // ---- the view
 
 const LEAST_SCALE = 0.002, MOST_SCALE = 200;  // px/m
+const RING = 60;  // s of trail while the car is followed
 
 function makeRoadView(canvas, history, clock, options = {}) {
   const screen = canvas.getContext("2d"), still = document.createElement("canvas"), stillPen = still.getContext("2d");
@@ -276,7 +276,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
     for (const patch of history.patches) {
       pen.save();
       pen.beginPath();
-      if (patch.x) trace(patch.x, patch.y, 0, patch.x.length - 1, 0, true); else tracePatch(patch);
+      tracePatch(patch);
       pen.fillStyle = pen.strokeStyle = palette.ice;
       pen.lineWidth = 6;
       if (view.scale < 1.5) pen.stroke();  // of a road that is a few pixels wide
@@ -402,7 +402,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
     pen.stroke();
   }
 
-  const trailStart = (car, t) => view.follow ? indexAt(car.columns.time, car.count, t - (options.ring ?? 60)) : 0;
+  const trailStart = (car, t) => view.follow ? indexAt(car.columns.time, car.count, t - RING) : 0;
 
   // What does not change while the picture stands still: kept, and only added to.
   function drawStill(t) {
@@ -582,7 +582,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   // -- words on the picture
 
-  function drawLabel(text, px, py, colour = palette.ink) {
+  function drawLabel(text, px, py) {
     pen.font = `13px ${palette.font}`;
     const width = pen.measureText(text).width + 12, x = Math.min(Math.max(px + 14, 4), view.width - width - 4);
     const y = Math.min(Math.max(py - 26, 14), view.height - 14);
@@ -592,7 +592,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
     pen.roundRect(x, y - 11, width, 22, 5);
     pen.fill();
     pen.globalAlpha = 1;
-    pen.fillStyle = colour;
+    pen.fillStyle = palette.ink;
     pen.fillText(text, x + 6, y + 4.5);
   }
 
@@ -602,7 +602,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
   function drawEvents(t) {
     const past = history.events.filter(event => event.time <= t + 1e-9);
     for (const event of past) {
-      placeAt(history.cars[event.car ?? view.chosen] ?? history.cars[0], event.time, eventPlace);
+      placeAt(history.cars[view.chosen], event.time, eventPlace);
       const [px, py] = toScreen(eventPlace.x, eventPlace.y);
       if (px < -20 || py < -20 || px > view.width + 20 || py > view.height + 20) continue;
       pen.fillStyle = palette.ground;
@@ -674,10 +674,10 @@ function makeRoadView(canvas, history, clock, options = {}) {
     return [event.clientX - box.left, event.clientY - box.top];
   };
 
-  // The instant at which the driven line passes a point of the screen, within `reach` px; NaN: none.
-  function instantAt(px, py, reach = 14) {
+  // The instant at which the driven line passes a point of the screen, within 14 px; NaN: none.
+  function instantAt(px, py) {
     const [wx, wy] = toWorld(px, py);
-    let best = (reach / view.scale) ** 2, when = NaN;
+    let best = (14 / view.scale) ** 2, when = NaN;
     history.cars.forEach((car, k) => {
       const {x, y, time} = car.columns;
       for (let i = trailStart(car, clock.t); i <= places[k].index; i++) {

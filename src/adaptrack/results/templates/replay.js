@@ -54,7 +54,7 @@ const clock = makeClock({start: firstTime(history), end: lastTime(history), peri
 const view = makeRoadView(part("canvas"), history, clock);
 const rates = RATES.filter(rate => rate <= (clock.end - clock.start > 300 ? 20 : 10));
 const transport = makeTransport(part("transport"), clock, {keys: root, view, rates});
-const plots = makePlots(part("plots"), history, clock, null, {span: 20});
+const plots = makePlots(part("plots"), history, clock);
 
 part("follow").onclick = view.followCar;
 part("whole").onclick = view.showWhole;
