@@ -12,7 +12,7 @@ of C = 1.2 to 1.9, a brush tyre, tanh(x) without load transfer, or a table; stif
 double noise; with and without a measured lateral velocity; side wind; a bank that the map lacks. Samples, commands
 and forces of all drives are recorded once, and the estimator is run on them with each interval. The true friction is
 the largest steady lateral acceleration over g; `low` is compared as the speed control uses it in bends. Random
-numbers follow from the seed alone. Seeds used: 4100 to 4109 while the estimator was made, 4200 to 4299 afterwards.
+
 """
 
 from __future__ import annotations
