@@ -51,7 +51,7 @@ FRICTION_HYPOTHESIS = record(
     "FrictionHypothesis",
     (
         "friction", "grip",  # -, -: of the tyres; largest steady lateral acceleration over g
-        "shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
+        "tyre_shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
         "score", "evidence",  # logarithm of the weight, and of the likelihood of the last sample
         ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
@@ -162,7 +162,7 @@ def _axle(slip, load, along, stiffness, h, c):
     q = 0.5 * load / c.nominal_load
     stiffness *= 2.0 * (c.stiffness_load_0 + c.stiffness_load_1 * q) / (1.0 + c.stiffness_load_2 * q * q)
     left = friction_ellipse(clip(along, -h.grip * load, h.grip * load), load, h.grip)
-    force, slope = force_and_slope(slip, curve(load, stiffness, h.grip, h.shape))
+    force, slope = force_and_slope(slip, curve(load, stiffness, h.grip, h.tyre_shape))
     return left * force, left * slope
 
 
@@ -468,7 +468,7 @@ def begin_friction(estimate):
     for i in range(bank.size):
         bank[i].friction = low + (high - low) * (i // per) / max(bank.size // per - 1, 1)
         bank[i].grip = usable_friction(estimate.car, unpack(estimate.car).steering_limit, bank[i].friction)
-        bank[i].shape = estimate.shape if per == 1 else (PESSIMISTIC_SHAPE if i % 2 == 0 else BRUSH_SHAPE)
+        bank[i].tyre_shape = estimate.shape if per == 1 else (PESSIMISTIC_SHAPE if i % 2 == 0 else BRUSH_SHAPE)
     if bank.size > 1:
         _forget(estimate)
 
