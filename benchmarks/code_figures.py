@@ -31,30 +31,30 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2270,
-    "core": 25660,
+    "core": 25770,
     "cars": 2160,
     "road": 4630,
     "scenario": 1850,
-    "control": 7240,
-    "drive": 2960,
-    "analysis": 1950,
+    "control": 7260,
+    "drive": 2950,
+    "analysis": 1910,
     "identification": 5050,
     "tuning": 1630,
-    "comparison": 2110,
-    "paper": 4250,
-    "export": 3230,
-    "gym": 1320,
+    "comparison": 2040,
+    "paper": 4170,
+    "export": 3060,
+    "gym": 1300,
     "results": 4750,
     "cli": 3400,
     "adaptrack": 40,
-    "JavaScript, templates, C": 9770,
-    "tests": 42130,
-    "benchmarks, tools, experiments, examples": 15390,
+    "JavaScript, templates, C": 9710,
+    "tests": 42370,
+    "benchmarks, tools, experiments, examples": 15880,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 74_430
+SOURCE_LINES = 74_180
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 

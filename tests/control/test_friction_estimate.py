@@ -234,8 +234,8 @@ def test_the_friction_is_not_overestimated_on_tyres_of_another_curve(curve: str,
 
 @pytest.mark.compiled
 def test_a_known_shape_narrows_the_interval() -> None:
-    unknown, known = (_weave(0.75, CURVES["tanh"], _estimate(LOW, HIGH, shape), 0.9)[-1] for shape in (0.0, 1.35))
-    assert known[1] - known[0] < unknown[1] - unknown[0]
+    without, with_shape = (_weave(0.75, CURVES["tanh"], _estimate(LOW, HIGH, shape), 0.9)[-1] for shape in (0.0, 1.35))
+    assert with_shape[1] - with_shape[0] < without[1] - without[0]
 
 
 @pytest.mark.parametrize("shape", ["round", 1.0, 2.5])

@@ -90,8 +90,8 @@ class AccelerationInput:
         rolling = vehicle.rolling_resistance * core.GRAVITY * np.clip(2.0 * speed, 0.0, 1.0)
         force = mass * (accelerations + rolling + slope) + drag * speed * np.abs(speed)
         stands, drives = np.abs(speed) < core.STANDING_SPEED, accelerations > 0.0
-        held = mass * (np.abs(slope) + core.HOLDING_DECELERATION - accelerations)
-        holding = np.where(drives, mass * slope - loop["drive_force"], held)
+        holding_force = mass * (np.abs(slope) + core.HOLDING_DECELERATION - accelerations)
+        holding = np.where(drives, mass * slope - loop["drive_force"], holding_force)
         loop["requested_force"] = np.where(stands & ~drives, 0.0, force)
         loop["requested_hold"] = np.where(stands, np.maximum(holding, 0.0), 0.0)
         true_speed = run.vehicles.block[core.PLANT_STATE.vx * core.SLOTS :][: loop.size]
