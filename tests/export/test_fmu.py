@@ -285,7 +285,8 @@ SPEED_PARTS = {
     "learning": lambda: at.MPC(CAR, profile="production", learning=at.Learning()),
     "pure-pursuit": lambda: at.PurePursuit(CAR, period=0.05),
 }
-REQUESTED = ("acceleration", "force", "hold", "target_speed", "grip_used", "friction_low", "friction_high")
+REQUESTED = ("acceleration", "force", "hold", "target_speed", "grip_used", "friction_low", "friction_high",
+             "friction_age")  # fmt: skip
 PERIODS = 340
 DRIVES = max(1, -(-int(os.environ.get("ADAPTRACK_TEST_STEPS", "0")) // PERIODS))
 
@@ -306,7 +307,7 @@ def compare_with_tracker(body, mind, tracker, number):
         rate = sample["yaw_rate"] if has_rate else math.nan
         answer = tracker.step(k * 0.05 - sample["age"], *place, sample["speed"], rate, now=k * 0.05, grade=grade)
         request = answer.longitudinal
-        ends = request.friction_low, request.friction_high
+        ends = request.friction_low, request.friction_high, request.friction_age
         ours = [answer.command, answer.offset, answer.station, *request[:5], *ends]
         numbers = [list(kind).index(value) for kind, value in (
             (at.Status, answer.status), (SpeedState, request.state), (SpeedLimit, request.limited_by))]  # fmt: skip

@@ -27,6 +27,7 @@ from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.models.car import AXLES, POWERTRAIN, LearnedRow
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.core.physics.tyre import BRUSH_SHAPE
 from adaptrack.core.speed import friction as friction_kernel
 from adaptrack.core.speed import learning as learning
 from adaptrack.core.speed import path as path_kernel
@@ -43,8 +44,10 @@ from adaptrack.road.speed import packed, steering_limit
 Array = NDArray[np.float64]
 ASSUMABLE_FRICTION = (0.05, 1.5)
 """Lowest and highest coefficient of friction that may be assumed: wet ice, and racing tyres."""
-FRICTION_COUNT = 13
-"""Coefficients of friction, evenly within the interval."""
+TYRE_SHAPES, LEAST_SHAPE, MAX_SHAPE = {"unknown": 0.0, "brush": BRUSH_SHAPE, "file": math.nan}, 1.05, 2.0
+"""Shapes of a tyre's curve by name, for the kernel; least and largest C of a Magic Formula with a peak."""
+FRICTION_COUNT = 14
+"""Hypotheses: coefficients of friction, evenly within the interval, each with both ends of an unknown shape."""
 LONGEST_STEERING_DELAY = 1.0
 """s, of the steering and the samples together, for which commands are remembered."""
 ASSUMED_KNOWLEDGE = {
@@ -139,7 +142,9 @@ class SpeedCommand(NamedTuple):
     limited_by: SpeedLimit
     friction_low: float = math.nan
     friction_high: float = math.nan
-    """-: ends of the interval of the friction, as narrowed so far"""
+    """-: ends of the interval of the friction, as narrowed so far; low: largest steady lateral acceleration over g"""
+    friction_age: float = math.nan
+    """m, way since the tyres last showed the friction, at most 300 m: from there on the interval is the assumed one"""
     throttle: float = math.nan
     brake: float = math.nan
     """-, pedal positions (0 to 1) that give force and hold; NaN without a `PedalMap`"""
@@ -192,8 +197,18 @@ class SpeedControl:
     emergency: Annotated[Finite, within(1.0, 15.0), "m/s^2"] = 8.0
     """largest deceleration where a stop is too near for comfort"""
     pedals: PedalMap | None = None
+    tyre_shape: float | str = "unknown"
+    """curve of the tyres, for an interval of the friction: C of a Magic Formula (1.05 to 2), "brush", "file" (C of the
+    tyre of the car file), or "unknown": between a brush and C = 1.9"""
 
     def __post_init__(self) -> None:
+        if self.tyre_shape not in TYRE_SHAPES:
+            is_number = isinstance(self.tyre_shape, int | float)
+            if not is_number or not LEAST_SHAPE <= float(self.tyre_shape) <= MAX_SHAPE:
+                raise InvalidInput(
+                    f'SpeedControl: tyre_shape = {self.tyre_shape!r}: must be "unknown", "file", "brush", or C of a '
+                    f"Magic Formula, at least {LEAST_SHAPE:g} and at most {MAX_SHAPE:g}."
+                )
         low, high = self.friction_interval
         least, most = ASSUMABLE_FRICTION
         if not least <= low <= high <= most:
@@ -206,6 +221,13 @@ class SpeedControl:
     def friction_interval(self) -> tuple[float, float]:
         """Low and high end of the assumed friction."""
         return self.friction if isinstance(self.friction, tuple) else (self.friction, self.friction)
+
+    @property
+    def shape(self) -> float:
+        """Shape of the tyre's curve for the kernel: that of a `core.physics.tyre.TyreCurve`, 0: unknown."""
+        if self.tyre_shape == "file":
+            return min(max(load_tyre(self.car.tyre).shape, LEAST_SHAPE), MAX_SHAPE)
+        return float(TYRE_SHAPES.get(str(self.tyre_shape), self.tyre_shape))
 
     def settings(self, period: float, comfort: Comfort, patience: float = 0.0) -> Any:
         """Record of the kernel for a control period (s), the comfort of a plan and the patience (s) of the steering."""
@@ -283,7 +305,7 @@ def longitudinal_of(
     settings = control.settings(period, start.comfort, start.patience)
     sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf, grade=math.nan)
     memory, ahead = kernel.SPEED_MEMORY.new(1), np.zeros(horizon_cells(start.top_speed, settings))
-    friction = friction_estimate(control.friction_interval, control.car, period, controller)
+    friction = friction_estimate(control, period, controller)
     longitudinal = tracked_kernel.Longitudinal(
         sample, memory, settings, path, speed_banks(settings, period), ahead, friction
     )
@@ -291,25 +313,28 @@ def longitudinal_of(
     return longitudinal
 
 
-def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float, controller: Controller | None) -> Any:
+def friction_estimate(control: SpeedControl, period: float, controller: Controller | None) -> Any:
     """An estimate of the friction by the steering model of a controller (`core.speed.friction.FrictionEstimate`).
 
     It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
     """
-    (low, high), nothing, knowledge = interval, np.zeros(0), {}
+    (low, high), nothing, knowledge = control.friction_interval, np.zeros(0), {}
     hypotheses, commands, plant, variances = 0, 0, nothing, nothing
     belief = None if controller is None else controller.belief
     if belief is not None and low < high:
         hypotheses, commands = FRICTION_COUNT, math.ceil(LONGEST_STEERING_DELAY / period) + 1
         rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
-        plant = pack_plant(car, load_tyre(car.tyre), SteeringActuator(**{**belief.steering, "rate": rate}))
+        plant = pack_plant(
+            control.car, load_tyre(control.car.tyre), SteeringActuator(**{**belief.steering, "rate": rate})
+        )
         estimator = getattr(controller, "estimator", None)
         filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
         variances = filtering.variances()[FRICTION_SENSORS]
         knowledge = {"lag": belief.lag.value, "dead_time": belief.delay, **ASSUMED_KNOWLEDGE}
     return friction_kernel.FrictionEstimate(
         friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(hypotheses),
-        np.zeros(commands), plant, period, variances, low, high,
+        np.zeros(commands), plant, period, variances, low, high, control.shape,
+        friction_kernel.CERTAIN_RESERVE if "drive_front" in control.car.estimated else 0.0,
         LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | knowledge),
     )  # fmt: skip
 
@@ -355,7 +380,7 @@ class SpeedController:
 
     def estimate_friction(self, controller: Controller) -> None:
         """Narrow an interval of friction by the steering model of a controller, or by what it learns, from now on."""
-        friction = friction_estimate(self.control.friction_interval, self.control.car, self._period, controller)
+        friction = friction_estimate(self.control, self._period, controller)
         friction_kernel.begin_friction(friction)
         self._controller = controller
         self._load(self.record._replace(friction=friction))
@@ -439,13 +464,13 @@ class SpeedController:
         """Requests in force."""
         row, pedals = np.empty(len(SPEED_REQUEST)), self.control.pedals or self.control.car.pedals
         tracked_kernel.write_requests(self.record, row, 0)
-        acceleration, force, hold, target_speed, grip_used, state, cause, low, high = row.tolist()
+        acceleration, force, hold, target_speed, grip_used, state, cause, low, high, age = row.tolist()
         positions = (math.nan, math.nan)
         if pedals is not None:
             positions = pedals.positions(force, float(self.record.memory[0].speed), hold)
         return SpeedCommand(
             acceleration, force, hold, target_speed, grip_used, _STATES[int(state)], _LIMITS[int(cause)], low, high,
-            *positions,
+            age, *positions,
         )  # fmt: skip
 
     @property

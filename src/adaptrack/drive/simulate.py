@@ -232,6 +232,7 @@ def _batch_trajectory(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) 
 _REQUEST_UNITS = {
     "requested_acceleration": "m/s^2", "requested_force": "N", "target_speed": "m/s", "governed_speed": "m/s",
     "grip_used": "-", "speed_state": "-", "limited_by": "-", "friction_low": "-", "friction_high": "-",
+    "friction_age": "m",
 }  # fmt: skip
 """Signals of a speed controller by their names in `Trajectory.diagnostics`, with their units."""
 _MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
@@ -255,7 +256,7 @@ def _request_row(request: SpeedCommand, control: SpeedController | None) -> tupl
     return (
         request.acceleration, request.force - request.hold, request.target_speed,
         math.nan if control is None else control.governed_speed, request.grip_used, _place(_STATES, request.state),
-        _place(_LIMITS, request.limited_by), request.friction_low, request.friction_high,
+        _place(_LIMITS, request.limited_by), request.friction_low, request.friction_high, request.friction_age,
     )  # fmt: skip
 
 

@@ -135,7 +135,7 @@ class Trajectory:
     - ``requested_acceleration`` (m/s²) and ``requested_force`` (N at the wheels, positive forward, less what holds the
       car at rest), ``longitudinal_acceleration`` (m/s²) of the car;
     - ``target_speed`` where the request acts, ``governed_speed`` of the car's cell of the path (m/s);
-    - ``grip_used``, ``friction_low``, ``friction_high``: as in `SpeedCommand`;
+    - ``grip_used``, ``friction_low``, ``friction_high``, ``friction_age``: as in `SpeedCommand`;
     - ``speed_state``, ``limited_by``: places in `SpeedState` and `SpeedLimit`, from 0.
     """
     road: Mapping[str, Array] = field(default_factory=dict)

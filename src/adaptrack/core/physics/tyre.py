@@ -5,10 +5,12 @@ Slip angles and forces are positive to the left (ISO 8855): a wheel turned left 
 
 from __future__ import annotations
 
-from ..kernel import inlined
+import math
+
+from ..kernel import inlined, record
 from ..maths.exact import sqrt
-from ..maths.exponential import exp, log
-from ..maths.fast import fast_arctangent_of_ratio, fast_sine
+from ..maths.exponential import power
+from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 
 LEAST_LOAD = 1.0
 """A wheel never carries less than this (N): a lifted wheel keeps a harmless force instead of a division by zero."""
@@ -55,16 +57,46 @@ def lateral_force(slip, load, friction, stiffness, c, law):
 
 
 @inlined
-def brush_slope(used: float) -> float:
-    """Slope of a brush tyre's curve where it uses a share of its grip, over the slope at no slip: (1 - used)^(2/3).
-
-    Its force is mu F_z (1 - (1 - z)^3) with z proportional to the slip (Pacejka, section 3.2). 0 from used = 1 on.
-    """
-    return exp(2.0 / 3.0 * log(1.0 - used)) if used < 1.0 else 0.0
-
-
-@inlined
 def friction_ellipse(longitudinal: float, load: float, friction: float) -> float:
     """Share of the lateral force that is left beside a longitudinal force: sqrt(1 - (F_x/(mu F_z))^2), >= 0.1."""
     used = longitudinal / max(friction * load, 1e-3)
     return sqrt(max(1.0 - used * used, 0.01))
+
+
+BRUSH_SHAPE = -1.0
+"""Shape of a brush tyre's curve; a Magic Formula has its C, above 1."""
+TyreCurve = record("TyreCurve", ("peak", "stiffness", "shape"))
+"""Lateral force over slip angle, of a tyre or an axle: largest force (N), slope at no slip (N/rad), shape."""
+
+
+@inlined
+def curve(load, stiffness, friction, shape):
+    """`TyreCurve` of a tyre or an axle at a load (N); stiffness: N/rad, at this load."""
+    return TyreCurve(max(friction * load, 1e-3), stiffness, shape)
+
+
+@inlined
+def force_and_slope(slip, tyre):
+    """Lateral force (N) at a slip angle (rad) on a `TyreCurve`, and its derivative by the slip angle (N/rad).
+
+    Magic Formula: F = D sin(C atan x), x = stiffness slip/(C D). Brush: F = D (1 - (1 - z)^3), z = C x/3.
+    """
+    reach = tyre.stiffness * slip
+    if tyre.shape < 0.0:
+        left = max(1.0 - abs(reach) / (3.0 * tyre.peak), 0.0)
+        return math.copysign(tyre.peak * (1.0 - left * left * left), slip), tyre.stiffness * left * left
+    scale = tyre.shape * tyre.peak
+    angle = tyre.shape * fast_arctangent_of_ratio(reach, scale)
+    slope = tyre.stiffness * fast_cosine(angle) * (scale * scale / (scale * scale + reach * reach))
+    return tyre.peak * fast_sine(angle), slope
+
+
+@inlined
+def brush_slope(used: float) -> float:
+    """Slope of a brush tyre's curve over that at no slip, at a used share of its grip: (1 - s)^(2/3), 0 from s = 1 on.
+
+    With z a third of stiffness times slip over friction times load, F = friction load (1 - (1 - z)^3), so that the
+    slope is (1 - z)^2 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., eq. 3.7). The Magic Formula of a car's tyre lies
+    above it up to about 0.8 of the grip.
+    """
+    return power(max(1.0 - abs(used), 0.0), 2.0 / 3.0)

@@ -48,6 +48,7 @@ SPEED_FRAME = columns(
     "requested_force",  # N, at the wheels, less the hold of the brakes
     "speed_state", "limited_by",  # numbers of `core.speed.speed_control`
     "friction_low", "friction_high",  # -, -: ends of the interval of the friction, as narrowed so far
+    "friction_age",  # m, since the tyres last showed the friction
 )  # fmt: skip
 """Of an instant behind a speed control: the last numbers of its row."""
 
@@ -135,6 +136,7 @@ def _write_speed_numbers(longitudinal, row):
     row[SPEED_FRAME.speed_state], row[SPEED_FRAME.limited_by] = memory.speed_state, memory.limited_by
     friction = longitudinal.friction.memory[0]
     row[SPEED_FRAME.friction_low], row[SPEED_FRAME.friction_high] = friction.low, friction.high
+    row[SPEED_FRAME.friction_age] = friction.age
 
 
 @exported(SHOW)

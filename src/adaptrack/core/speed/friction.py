@@ -20,7 +20,7 @@ import math
 
 from ..estimators.extended_kalman import bounded, carry, correct, scatter, step_motion
 from ..estimators.friction_wind import steered
-from ..estimators.learning import memory_of
+from ..estimators.learning import LEARNING_BELIEF, memory_of
 from ..kernel import columns, exported, fields_of, float64, inlined, local, record, rows, vector, void
 from ..maths.bits import whole
 from ..maths.exact import clip, floor, sqrt, square
@@ -30,7 +30,8 @@ from ..maths.vectors import VECTOR_WIDTH
 from ..models.car import LearnedRow, unpack
 from ..models.contract import MEASUREMENT, PERIOD_FIELD
 from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
-from ..physics.tyre import CURVED_MAGIC_FORMULA, LEAST_LOAD, MAGIC_FORMULA, friction_ellipse, lateral_force
+from ..physics.tyre import BRUSH_SHAPE, LEAST_LOAD, curve, force_and_slope, friction_ellipse
+from ..synthesis.car import usable_friction
 from ..tracker.signals import TRACKER_SAMPLE
 from .learning import mean_of_bank
 from .speed_control import cell_at
@@ -39,7 +40,7 @@ _Z = columns(
     "vy", "yaw_rate",  # m/s, rad/s
     "bias",  # rad, of the steering, against what is known
     "stiffness", "balance",  # -, -: logarithms, against what is known
-    "side",  # m/s^2, of wind and bank
+    "wind", "bank",  # m/s^2, of the air, which an accelerometer feels, and of the road, which it does not
 )  # fmt: skip
 """State of a filter."""
 _COUNT = len(_Z)
@@ -47,17 +48,18 @@ _COUNT = len(_Z)
 FRICTION_HYPOTHESIS = record(
     "FrictionHypothesis",
     (
-        "friction",  # -
-        "score",  # logarithm of the weight
+        "friction", "grip",  # -, -: of the tyres; largest steady lateral acceleration over g
+        "shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
+        "score", "evidence",  # logarithm of the weight, and of the likelihood of the last sample
         ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
 )  # fmt: skip
-"""A coefficient of friction with its filter."""
+"""A coefficient of friction and a shape of the tyre's curve with their filter."""
 LateralMotion = record(
     "LateralMotion",
     (
         "speed", "force", "pull",  # m/s; N, of drive and brakes; m/s^2, of a banked road
-        "along", "lateral",  # m/s^2, accelerations that have moved the load
+        "along",  # m/s^2, acceleration that has moved the load
         ("knowledge", LearnedRow),
     ),
 )  # fmt: skip
@@ -75,10 +77,13 @@ FRICTION_MEMORY = record(
     "FrictionMemory",
     (
         "running",  # 1 while the filters follow the motion
-        "friction", "low", "high",  # -, mean and ends of the interval
-        "used",  # -, friction that the tyres have used, over a moment, lowered with the distance
-        "angle", "age",  # rad, s: wheels and age of the last sample
-        "lateral", "along",  # m/s^2, accelerations that have moved the load
+        "friction", "low", "high",  # -, mean and ends of the interval; the low one as largest steady a_y over g
+        "least",  # -, low end as friction of the tyres, of which `low` is what a bend can use
+        "surprise",  # -, mean of the squared innovations over what is assumed of them, of the best filter
+        "age",  # m, since the tyres were last excited, at most `RETURN_DISTANCE`
+        "used",  # -, friction that the tyres certainly use at present
+        "angle", "sample_age",  # rad, s: wheels and age of the last sample
+        "yaw_rate", "along",  # rad/s, last measured; m/s^2, acceleration that has moved the load
         "pull",  # m/s^2, used acceleration over a moment
         "lateral_velocity",  # m/s, mean of the filters
     ),
@@ -89,8 +94,8 @@ FrictionEstimate = record(
     "FrictionEstimate",
     (
         ("memory", rows(FRICTION_MEMORY)), ("bank", rows(FRICTION_HYPOTHESIS)), ("commands", vector), ("car", vector),
-        PERIOD_FIELD, ("variances", vector), ("low", float64), ("high", float64),
-        ("knowledge", LearnedRow),
+        PERIOD_FIELD, ("variances", vector), ("low", float64), ("high", float64), ("shape", float64),
+        ("reserve", float64), ("knowledge", LearnedRow),
     ),
 )  # fmt: skip
 """An estimate: hypotheses, ascending, none of a friction that is certain; commands that were sent (rad), the latest
@@ -105,17 +110,23 @@ TAIL = 0.05
 """Probability outside either end of the interval."""
 MODEL_ERROR = 0.05
 """Of the friction, by which the model of the car widens the interval to either side."""
-RETURN_DISTANCE = 1500.0
-"""m, after which the weights have returned to the prior by 1 - 1/e where nothing is observed."""
-LEAST_WEIGHT = 1e-3
+RETURN_DISTANCE, EXCITED_SHARE, TELLING_SHARE = 300.0, 0.6, 0.4
+"""m without excitation, over which the interval returns to what was told; -, used shares of the low end: that excites;
+from which on samples tell frictions apart."""
+LEAST_SCORE = -6.0
 """Of a hypothesis, so that a friction that falls is noticed soon."""
 RISE_DISTANCE = 80.0
 """m, over which the low end rises."""
 WIDTH_CAUTION, LARGEST_CAUTION = 0.35, 0.15
 """Share of the low end that bends ahead and drive forces do not use, over the width of the interval relative to its
 high end; at most. Brakes use the low end."""
-EVIDENCE_SHARE = 0.3
+CERTAIN_RESERVE = 0.1
+"""Share of a friction that is certain which bends ahead and drive forces do not use while the steering is learned, or
+the driven axle is assumed."""
+EVIDENCE_SHARE = 0.12
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
+SURPRISE_TIME, LEAST_SURPRISE = 5.0, 0.3
+"""s, over which larger innovations than assumed are noticed: samples then count less."""
 FRICTION_INNOVATION_BOUND = 3.0
 """Standard deviations up to which an innovation counts."""
 VELOCITY_ERROR, YAW_RATE_ERROR, ACCELERATION_ERROR = 0.05, 0.01, 0.2
@@ -124,38 +135,37 @@ DRIFT_VELOCITY, DRIFT_YAW_RATE = 0.05, 0.01
 """m/s and rad/s after a second: random walks besides the model."""
 TYRE_ERROR = 0.02
 """s^0.5, white noise on the force of an axle, over that force."""
-SIDE_SIGMA, SIDE_TIME, KNOWLEDGE_TIME = 0.2, 5.0, 30.0
-"""m/s^2 and s, of side wind and bank; s, of stiffness, balance and bias against what is known of them."""
+WIND_SIGMA, BANK_SIGMA, SIDE_TIME, KNOWLEDGE_TIME = 0.5, 0.3, 5.0, 30.0
+"""m/s^2, m/s^2 and s, of side wind and unmapped bank; s, of stiffness, balance and bias against what is known."""
 FIRST_VARIANCE = 0.25
 """(m/s)^2, of a lateral velocity that is not known."""
 LARGEST_VARIANCE, LARGEST_YAW_ERROR, LARGEST_DEVIATION = 4.0, 0.5, 3.0
 """(m/s)^2 and rad/s, beyond which a filter is lost; standard deviations from what is known."""
-USED_TIME, USED_MARGIN = 0.3, 0.95
-"""s, over which used friction is averaged; share that counts."""
+USED_TIME, USED_SIGMAS, USED_ERROR, USED_SCALE = 0.3, 1.64, 0.15, 0.03
+"""s, over which the used acceleration is averaged. It counts less so many standard deviations of wind and bank, an
+error of the sensor (m/s^2), and a share for the scale of the speed and a peak that is no steady one."""
+PESSIMISTIC_SHAPE = 1.9
+"""Of an unknown curve that softens late: with it, a softening that is seen means the least friction."""
 
 _states, _motion = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH)
-_SLIP_STEP = 1e-5  # rad, of a difference that stands for a derivative
 
 
 @inlined
-def _axle(slip, load, shift, along, friction, stiffness, c, law):
-    """Lateral force (N) of an axle and its derivative by the slip angle; shift: N, load that moved to the outer wheel.
+def _axle(slip, load, along, stiffness, h, c):
+    """Lateral force (N) of an axle and its derivative by the slip angle; along: N, its drive or brake force.
 
-    along: N, drive or brake force of the axle.
+    stiffness: N/rad, of one tyre at the nominal load.
     """
-    force, by_slip = 0.0, 0.0
-    for side in (-1.0, 1.0):
-        carried = max(0.5 * load + side * shift, LEAST_LOAD)
-        left = friction_ellipse(clip(0.5 * along, -friction * carried, friction * carried), carried, friction)
-        above = lateral_force(slip + _SLIP_STEP, carried, friction, stiffness, c, law)
-        below = lateral_force(slip - _SLIP_STEP, carried, friction, stiffness, c, law)
-        force += 0.5 * left * (above + below)
-        by_slip += left * (above - below) * (0.5 / _SLIP_STEP)
-    return force, by_slip
+    load = max(load, LEAST_LOAD)
+    q = 0.5 * load / c.nominal_load
+    stiffness *= 2.0 * (c.stiffness_load_0 + c.stiffness_load_1 * q) / (1.0 + c.stiffness_load_2 * q * q)
+    left = friction_ellipse(clip(along, -h.grip * load, h.grip * load), load, h.grip)
+    force, slope = force_and_slope(slip, curve(load, stiffness, h.grip, h.shape))
+    return left * force, left * slope
 
 
 @inlined
-def _accelerations(h, angle, motion, c, law, slopes):
+def _accelerations(h, angle, motion, c, slopes):
     """Acceleration of the tyres (m/s^2), yaw acceleration (rad/s^2) and both axle forces (N) of a hypothesis.
 
     Derivatives of the first two by the state are written to slopes (2, 8).
@@ -164,20 +174,18 @@ def _accelerations(h, angle, motion, c, law, slopes):
     factor = knowledge.stiffness * exp(x[_Z.stiffness])
     balance = knowledge.balance * exp(x[_Z.balance])
     wheel = angle + knowledge.bias + x[_Z.bias]
-    moved = c.mass * c.cg_height / wheelbase
-    pitch, roll = moved * motion.along, moved * motion.lateral
+    pitch = c.mass * c.cg_height / wheelbase * motion.along
     front_share = c.drive_front if force > 0.0 else c.brake_front
     side_f, side_r = x[_Z.vy] + c.lf * x[_Z.yaw_rate], x[_Z.vy] - c.lr * x[_Z.yaw_rate]
     slip_f = wheel - fast_arctangent_of_ratio(side_f, speed)
     slip_r = -fast_arctangent_of_ratio(side_r, speed)
+    weight = c.mass * GRAVITY / wheelbase
     front, by_front = _axle(
-        slip_f, c.mass * GRAVITY * c.lr / wheelbase - pitch, roll * c.lr / c.track_front, front_share * force,
-        h.friction, factor * sqrt(balance) * c.stiffness_front, c, law,
-    )  # fmt: skip
+        slip_f, weight * c.lr - pitch, front_share * force, factor * sqrt(balance) * c.stiffness_front, h, c
+    )
     rear, by_rear = _axle(
-        slip_r, c.mass * GRAVITY * c.lf / wheelbase + pitch, roll * c.lf / c.track_rear, (1.0 - front_share) * force,
-        h.friction, factor / sqrt(balance) * c.stiffness_rear, c, law,
-    )  # fmt: skip
+        slip_r, weight * c.lf + pitch, (1.0 - front_share) * force, factor / sqrt(balance) * c.stiffness_rear, h, c
+    )
     of_front, of_rear = _states(), _states()
     of_front[_Z.vy] = -by_front * speed / (speed * speed + side_f * side_f)
     of_rear[_Z.vy] = -by_rear * speed / (speed * speed + side_r * side_r)
@@ -198,22 +206,25 @@ def _accelerations(h, angle, motion, c, law, slopes):
 @inlined
 def _sigmas(knowledge):
     """Standard deviations of the states from the steering bias on."""
-    return knowledge.bias_sigma, knowledge.stiffness_sigma, knowledge.balance_sigma, SIDE_SIGMA
+    return knowledge.bias_sigma, knowledge.stiffness_sigma, knowledge.balance_sigma, WIND_SIGMA, BANK_SIGMA
 
 
 @inlined
-def _predict(h, angle, turning, step, motion, c, law):
+def _predict(h, angle, turning, step, motion, c):
     """Carry a filter over a step (s) by the linearised trapezoidal rule; turning: rad/s, of the wheels."""
     x, P, slopes, mixed = h.x, h.covariance, _motion(), _motion()
     speed, knowledge = motion.speed, motion.knowledge
-    lateral, yawing, front, rear = _accelerations(h, angle, motion, c, law, slopes)
+    lateral, yawing, front, rear = _accelerations(h, angle, motion, c, slopes)
     push, twist = slopes[_Z.vy, _Z.bias], slopes[_Z.yaw_rate, _Z.bias]
+    turn = (c.lf + c.lr) * c.yaw_moment_slope * c.mass / (max(c.side_force_slope, 1e-3) * c.yaw_inertia)
     slopes[_Z.vy, _Z.yaw_rate] -= speed
-    slopes[_Z.vy, _Z.side] += 1.0
-    step_motion(lateral + motion.pull + x[_Z.side] - speed * x[_Z.yaw_rate], yawing, step, slopes, _COUNT, x, mixed)
+    slopes[_Z.vy, _Z.wind], slopes[_Z.vy, _Z.bank], slopes[_Z.yaw_rate, _Z.wind] = 1.0, 1.0, turn
+    lateral += motion.pull + x[_Z.wind] + x[_Z.bank]
+    yawing += turn * x[_Z.wind]
+    step_motion(lateral - speed * x[_Z.yaw_rate], yawing, step, slopes, _COUNT, x, mixed)
     shares, sigmas = _states(), _sigmas(knowledge)
     for j in range(_Z.bias, _COUNT):
-        shares[j] = exp(-step / (SIDE_TIME if j == _Z.side else KNOWLEDGE_TIME))
+        shares[j] = exp(-step / (SIDE_TIME if j >= _Z.wind else KNOWLEDGE_TIME))
     carry(mixed, shares, P, _motion())
     for j in range(_Z.bias, _COUNT):
         x[j] *= shares[j]
@@ -232,18 +243,21 @@ def _predict(h, angle, turning, step, motion, c, law):
 
 @inlined
 def _take_in(value, reading, variance, slope, h):
-    """Correct a filter by a sensor; return the log-likelihood. slope: derivatives of its reading by the state."""
+    """Correct a filter by a sensor; return the log-likelihood, at a spread that all hypotheses share.
+
+    slope: derivatives of its reading by the state.
+    """
     if value != value or not variance < math.inf:
         return 0.0
     cross, innovation = _states(), value - reading
     spread = scatter(variance, slope, h.covariance, cross)
-    surprise = min(square(innovation) / spread, square(FRICTION_INNOVATION_BOUND))
+    surprise = min(square(innovation) / variance, square(FRICTION_INNOVATION_BOUND))
     correct(bounded(innovation, spread, FRICTION_INNOVATION_BOUND), spread, cross, h.x, h.covariance)
-    return -0.5 * (surprise + log(spread))
+    return -0.5 * surprise
 
 
 @inlined
-def _correct(h, angle, sample, motion, variances, c, law):
+def _correct(h, angle, sample, motion, variances, c):
     """Take in the sensors of a sample; return the log-likelihood."""
     slope = _states()
     of_velocity, of_yaw_rate = variances[0] + square(VELOCITY_ERROR), variances[1] + square(YAW_RATE_ERROR)
@@ -254,11 +268,11 @@ def _correct(h, angle, sample, motion, variances, c, law):
     evidence += _take_in(sample.lateral_velocity, h.x[_Z.vy], of_velocity, slope, h)
     if sample.lateral_acceleration == sample.lateral_acceleration:
         slopes = _motion()
-        lateral, _, _, _ = _accelerations(h, angle, motion, c, law, slopes)
+        lateral, _, _, _ = _accelerations(h, angle, motion, c, slopes)
         for j in range(_COUNT):
             slope[j] = slopes[_Z.vy, j]
-        slope[_Z.side] = 1.0
-        evidence += _take_in(sample.lateral_acceleration, lateral + h.x[_Z.side], of_acceleration, slope, h)
+        slope[_Z.wind] = 1.0
+        evidence += _take_in(sample.lateral_acceleration, lateral + h.x[_Z.wind], of_acceleration, slope, h)
     return evidence
 
 
@@ -291,33 +305,74 @@ def _bound(h, speed, yaw_rate, knowledge):
 
 
 @inlined
-def _weigh(distance, memory, bank):
-    """Turn scores into weights that have returned to the prior by a distance (m), and find the interval."""
-    best, total = -math.inf, 0.0
-    for h in bank:
-        if h.friction < USED_MARGIN * memory.used:
-            h.score -= distance  # less than what the tyres have used
-        best = max(best, h.score)
-    for h in bank:
-        total += exp(h.score - best)
-    mixed, mass, mean = min(distance / RETURN_DISTANCE, 1.0), 0.0, 0.0
-    spacing = bank[1].friction - bank[0].friction
-    low, high = bank[0].friction, bank[bank.size - 1].friction
-    for h in bank:
-        weight = (1.0 - mixed) * exp(h.score - best) / total + mixed / bank.size
-        weight = max(weight, LEAST_WEIGHT)
-        h.score = log(weight)
-        if mass < TAIL <= mass + weight:
-            low = h.friction + spacing * ((TAIL - mass) / weight - 0.5)
-        if mass < 1.0 - TAIL <= mass + weight:
-            high = h.friction + spacing * ((1.0 - TAIL - mass) / weight - 0.5)
-        mass += weight
-        mean += weight * h.friction
+def _follow(best, h):
+    """Give a filter the state of the best one, so that it is right at once when its friction comes."""
+    for i in range(_COUNT):
+        h.x[i] = best.x[i]
+        for j in range(_COUNT):
+            h.covariance[i, j] = best.covariance[i, j]
+
+
+@inlined
+def _weigh(distance, memory, estimate):
+    """Turn scores into weights of the frictions, each with the best of its shapes, and find the interval."""
+    bank, per = estimate.bank, _shapes(estimate)
+    count, best, total, likeliest = bank.size // per, -math.inf, 0.0, 0
+    for i in range(bank.size):
+        if bank[i].grip < memory.used:
+            bank[i].score -= distance  # less than what the tyres use
+        if bank[i].score > best:
+            best, likeliest = bank[i].score, i
+    for i in range(count):
+        total += exp(_best_score(i * per, per, bank) - best)
+    mass, mean = 0.0, 0.0
     first, last = bank[0].friction, bank[bank.size - 1].friction
+    spacing, low, high = (last - first) / max(count - 1, 1), first, last
+    for h in bank:
+        h.score -= best + log(total)
+        if h.score < LEAST_SCORE:
+            h.score = LEAST_SCORE
+            _follow(bank[likeliest], h)
+    for i in range(count):
+        friction, weight = bank[i * per].friction, exp(_best_score(i * per, per, bank))
+        if mass < TAIL <= mass + weight:
+            low = friction + spacing * ((TAIL - mass) / weight - 0.5)
+        if mass < 1.0 - TAIL <= mass + weight:
+            high = friction + spacing * ((1.0 - TAIL - mass) / weight - 0.5)
+        mass += weight
+        mean += weight * friction
     low, high = clip((1.0 - MODEL_ERROR) * low, first, last), clip((1.0 + MODEL_ERROR) * high, first, last)
-    rising = clip(distance / RISE_DISTANCE, 0.0, 1.0)
-    memory.low += (low - memory.low) * (rising if low > memory.low else 1.0)
-    memory.friction, memory.high = mean, max(high, memory.low)
+    left = clip(1.0 - memory.age / RETURN_DISTANCE, 0.0, 1.0)
+    if left == 0.0:
+        _forget(estimate)
+    low, high = first + left * (low - first), last + left * (high - last)
+    rising = clip(distance / RISE_DISTANCE, 0.0, 1.0) if memory.age == 0.0 else 0.0
+    memory.least += (low - memory.least) * (rising if low > memory.least else 1.0)
+    memory.friction, memory.high = clip(mean / mass, memory.least, high), max(high, memory.least)
+    slope = (bank[bank.size - 1].grip - bank[0].grip) / (last - first)
+    memory.low = max(first, bank[0].grip + slope * (memory.least - first))
+
+
+@inlined
+def _shapes(estimate):
+    """Number of shapes of the tyre's curve that are compared."""
+    return 2 if estimate.shape == 0.0 else 1
+
+
+@inlined
+def _best_score(first, count, bank):
+    """Largest of some scores."""
+    best = bank[first].score
+    for i in range(first + 1, first + count):
+        best = max(best, bank[i].score)
+    return best
+
+
+@inlined
+def _forget(estimate):
+    """Let all hypotheses count the same."""
+    for h in estimate.bank:
+        h.score = -log(float(estimate.bank.size // _shapes(estimate)))
 
 
 @exported(void(FrictionSample, LearnedRow, float64, float64, FrictionEstimate))
@@ -334,20 +389,19 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     c = unpack(estimate.car)
     if bank.size < 2 or c.tyre_linear > 0.5 or sample.speed != sample.speed:
         return
-    step = clip(period + memory.age - sample.age, 0.1 * period, 2.0 * period)
-    memory.age = sample.age
+    step = clip(period + memory.sample_age - sample.age, 0.1 * period, 2.0 * period)
+    memory.sample_age = sample.age
     rate = c.steering_rate
     reach = commands.size - 1
     substep = step / SUBSTEPS
-    law = MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA
     speed = max(sample.speed, SLIP_SPEED_FLOOR)
     runs = sample.speed > LEAST_SPEED
-    yaw_rate = sample.yaw_rate if sample.yaw_rate == sample.yaw_rate else memory.lateral / speed
+    yaw_rate = sample.yaw_rate if sample.yaw_rate == sample.yaw_rate else memory.yaw_rate
+    memory.yaw_rate = yaw_rate
     left = exp(-step / max(c.load_transfer_time, 1e-3))
     wheels = _Steering(knowledge.lag + c.relaxation_length / speed, rate, c.steering_limit)
-    memory.lateral = speed * yaw_rate - pull + left * (memory.lateral - speed * yaw_rate + pull)
     memory.along = force / c.mass + left * (memory.along - force / c.mass)
-    motion = LateralMotion(speed, force, pull, memory.along, memory.lateral, knowledge)
+    motion = LateralMotion(speed, force, pull, memory.along, knowledge)
     for i in range(SUBSTEPS):
         back = (step - (i + 0.5) * substep + sample.age + knowledge.dead_time) / period
         place = min(max(whole(floor(back)), 0), reach)
@@ -357,29 +411,43 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
         if runs and memory.running > 0.5:
             turning = (memory.angle - before) / substep
             for h in bank:
-                _predict(h, middle, turning, substep, motion, c, law)
+                _predict(h, middle, turning, substep, motion, c)
     if not runs:
         memory.running = 0.0
         return
     distance = speed * step
     share = 1.0 - exp(-step / USED_TIME)
     slide = memory.lateral_velocity
-    memory.lateral_velocity = 0.0
+    felt = sample.lateral_acceleration == sample.lateral_acceleration
+    memory.lateral_velocity, side, variance, total = 0.0, 0.0, 0.0, 0.0
     for h in bank:
-        memory.lateral_velocity += exp(h.score) * h.x[_Z.vy]
-    used = sample.lateral_acceleration
-    if used != used:
-        used = speed * yaw_rate + (memory.lateral_velocity - slide) / step - pull
-    memory.pull += share * (sqrt(square(used) + square(force / c.mass)) - memory.pull)
-    memory.used = max(memory.pull / GRAVITY, memory.used * (1.0 - distance / RETURN_DISTANCE))
+        weight = exp(h.score)
+        total += weight
+        memory.lateral_velocity += weight * h.x[_Z.vy]
+        side += weight * abs(h.x[_Z.wind] if felt else h.x[_Z.wind] + h.x[_Z.bank])
+        variance += weight * (h.covariance[_Z.wind, _Z.wind] + (0.0 if felt else h.covariance[_Z.bank, _Z.bank]))
+    memory.lateral_velocity /= total
+    used = sample.lateral_acceleration if felt else speed * yaw_rate + (memory.lateral_velocity - slide) / step - pull
+    memory.pull += share * (used - memory.pull)
+    sure = (1.0 - USED_SCALE) * abs(memory.pull) - side / total - USED_SIGMAS * sqrt(variance / total) - USED_ERROR
+    memory.used = max(sure / GRAVITY, 0.0)
+    is_excited = abs(memory.pull) > EXCITED_SHARE * memory.least * GRAVITY
+    memory.age = 0.0 if is_excited else min(memory.age + distance, RETURN_DISTANCE)
+    best = -math.inf
     for h in bank:
         if memory.running < 0.5:
             _begin_filter(h, yaw_rate, knowledge)
+            h.evidence = 0.0
         else:
-            h.score += EVIDENCE_SHARE * _correct(h, memory.angle, sample, motion, estimate.variances, c, law)
+            h.evidence = _correct(h, memory.angle, sample, motion, estimate.variances, c)
             _bound(h, speed, yaw_rate, knowledge)
+        best = max(best, h.evidence)
+    memory.surprise += step / SURPRISE_TIME * (-2.0 * best - memory.surprise)
+    if abs(memory.pull) > TELLING_SHARE * memory.least * GRAVITY:
+        for h in bank:
+            h.score += EVIDENCE_SHARE * h.evidence / max(memory.surprise, LEAST_SURPRISE)
     memory.running = 1.0
-    _weigh(distance, memory, bank)
+    _weigh(distance, memory, estimate)
 
 
 _Steering = record("Steering", ("steering_lag", "steering_rate", "steering_limit"))
@@ -389,12 +457,16 @@ _Steering = record("Steering", ("steering_lag", "steering_rate", "steering_limit
 def begin_friction(estimate):
     """Begin an estimate within its interval: hypotheses evenly from end to end."""
     memory, bank, low, high = estimate.memory[0], estimate.bank, estimate.low, estimate.high
-    memory.running, memory.used, memory.pull = 0.0, 0.0, 0.0
-    memory.friction, memory.low, memory.high = 0.5 * (low + high), low, high
-    memory.angle, memory.age, memory.lateral, memory.along, memory.lateral_velocity = 0.0, 0.0, 0.0, 0.0, 0.0
+    memory.running, memory.used, memory.pull, memory.surprise, memory.age = 0.0, 0.0, 0.0, 1.0, RETURN_DISTANCE
+    memory.friction, memory.low, memory.high, memory.least = 0.5 * (low + high), low, high, low
+    memory.angle, memory.sample_age, memory.yaw_rate, memory.along, memory.lateral_velocity = 0.0, 0.0, 0.0, 0.0, 0.0
+    per = _shapes(estimate)
     for i in range(bank.size):
-        bank[i].friction = low + (high - low) * i / max(bank.size - 1, 1)
-        bank[i].score = -log(float(bank.size))
+        bank[i].friction = low + (high - low) * (i // per) / max(bank.size // per - 1, 1)
+        bank[i].grip = usable_friction(estimate.car, unpack(estimate.car).steering_limit, bank[i].friction)
+        bank[i].shape = estimate.shape if per == 1 else (PESSIMISTIC_SHAPE if i % 2 == 0 else BRUSH_SHAPE)
+    if bank.size > 1:
+        _forget(estimate)
 
 
 @inlined
@@ -415,15 +487,18 @@ def narrow_friction(measured, speed, command, learned, longitudinal):
     """Narrow the friction of a speed control (`tracker.longitudinal.Longitudinal`) within that of its settings.
 
     measured: `MEASUREMENT` at a speed (m/s); command: rad, sent in the last period; learned: memory of a learner, empty
-    without one. A friction that is certain stays.
+    without one. A friction that is certain stays, with a reserve while a learner's steering is not known.
     """
     estimate, settings, control = longitudinal.friction, longitudinal.settings, longitudinal.memory[0]
     memory, hypotheses = estimate.memory[0], estimate.bank
+    if not estimate.low < estimate.high:
+        is_learning = learned.size > 0 and memory_of(learned, 0).beliefs.belief_state == LEARNING_BELIEF
+        reserve = CERTAIN_RESERVE if is_learning else estimate.reserve
+        control.cautious_friction = (1.0 - reserve) * settings.friction
+        return
     if hypotheses.size < 2:
         return
     first, last = hypotheses[0].friction, hypotheses[hypotheses.size - 1].friction
-    if not first < last:
-        return
     age = measured[MEASUREMENT.motion_age]
     sample = FrictionSample(
         speed, measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.vy], measured[MEASUREMENT.lateral_acceleration],
@@ -434,7 +509,7 @@ def narrow_friction(measured, speed, command, learned, longitudinal):
     bank = longitudinal.path.bank[cell_at(control.station, longitudinal.path)]
     estimate_friction(sample, _knowledge(learned, estimate), force, bank, estimate)
     slope = (settings.friction_high - settings.friction) / (last - first)
-    caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.low) / memory.high, LARGEST_CAUTION)
-    control.friction = settings.friction + slope * (memory.low - first)
+    caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.least) / memory.high, LARGEST_CAUTION)
+    control.friction = settings.friction + slope * (memory.least - first)
     control.cautious_friction = caution * control.friction
     control.friction_high = settings.friction + slope * (memory.high - first)

@@ -104,8 +104,11 @@ SPEED_REQUEST = columns(
     Field("speed_state", "", 0, "0 off, 1 driving, 2 stopping, 3 stopped, 4 emergency"),
     Field("limited_by", "", 0, "0 plan, 1 comfort, 2 grip, 3 stop, 4 path end, 5 fault, 6 driver, 7 steering unknown, "
           "8 powertrain, 9 brake fault, 10 drive fault"),
-    Field("friction_low", "", 0.0, "low end of the interval of the friction, as narrowed so far"),
+    Field("friction_low", "", 0.0, "low end of the interval of the friction, as narrowed so far: a one-sided 95 % "
+          "bound of the largest steady lateral acceleration over g"),
     Field("friction_high", "", 0.0, "high end of the interval of the friction, as narrowed so far"),
+    Field("friction_age", "m", 0.0, "way since the tyres last showed the friction, at most 300 m: from there on the "
+          "interval is the assumed one"),
 )  # fmt: skip
 """What a speed control requests in a control period."""
 

@@ -170,6 +170,7 @@ def write_requests(longitudinal, row, first):
     _write_memory(row, first, longitudinal.memory[0])
     friction = longitudinal.friction.memory[0]
     row[first + SPEED_REQUEST.friction_low], row[first + SPEED_REQUEST.friction_high] = friction.low, friction.high
+    row[first + SPEED_REQUEST.friction_age] = friction.age
 
 
 @inlined
