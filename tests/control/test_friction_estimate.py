@@ -15,7 +15,7 @@ from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
 from adaptrack.control.controllers import command_of
-from adaptrack.control.speed_control import SpeedCommand, SpeedController, friction_estimate
+from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, friction_estimate
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics import tyre
 from adaptrack.core.physics.forces import GRAVITY
