@@ -23,11 +23,11 @@ from exported import Answer, CPath, CTracker, Exported, Sample
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 CAR = at.load_vehicle("midsize-sedan")
 ALONG = np.arange(0.0, 300.0, 5.0)
-POINTS = np.stack([ALONG, 12.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
+POINTS = np.stack([ALONG, 32.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
 BAD_PLAN = 14
 SPEED, GRADE, BANK, STOP = range(1, 5)
 CONTROLS = {
-    "informed": SpeedControl(CAR, (0.08, 0.9)), "learning": SpeedControl(CAR, (0.08, 1.0)),
+    "informed": SpeedControl(CAR, (0.2, 0.9)), "learning": SpeedControl(CAR, (0.2, 1.0)),
     "pure-pursuit": SpeedControl(CAR, (0.5, 0.9)), "certain": SpeedControl(CAR, 0.5),
 }  # fmt: skip
 FRICTION = ("friction_low", "friction_high", "friction_age")
@@ -175,10 +175,10 @@ def test_the_requests_are_those_of_python_on_a_drive_with_stops_slopes_a_driver_
         assert differences == 0
         assert tracker.untouched
         is_certain = library.control is CONTROLS["certain"] or library.controller.belief is None
-        assert len(intervals) == 1 if is_certain else len(intervals) > 20
+        assert len(intervals) == 1 if is_certain else len(intervals) > 50
     assert {SpeedState.DRIVING, SpeedState.STOPPING, SpeedState.STOPPED} <= states
     assert {SpeedLimit.DRIVER, SpeedLimit.STOP} <= limits
-    assert min(abs(s - 110.0) for s in stands) < 1.0  # a twentieth of its samples is lost
+    assert min(abs(s - 110.0) for s in stands) < 1.5  # a twentieth of its samples is lost, and a friction of 0.2 brakes
 
 
 def test_a_restored_speed_control_goes_on_as_the_saved_one(library):

@@ -110,7 +110,7 @@ TAIL = 0.05
 """Probability outside either end of the interval."""
 MODEL_ERROR = 0.05
 """Of the friction, by which the model of the car widens the interval to either side."""
-RETURN_DISTANCE, EXCITED_SHARE, TELLING_SHARE = 300.0, 0.6, 0.4
+RETURN_DISTANCE, EXCITED_SHARE, TELLING_SHARE = 300.0, 0.7, 0.4
 """m without excitation, over which the interval returns to what was told; -, used shares of the low end: that excites;
 from which on samples tell frictions apart."""
 LEAST_SCORE = -6.0
@@ -123,7 +123,7 @@ high end; at most. Brakes use the low end."""
 CERTAIN_RESERVE = 0.1
 """Share of a friction that is certain which bends ahead and drive forces do not use while the steering is learned, or
 the driven axle is assumed."""
-EVIDENCE_SHARE = 0.12
+EVIDENCE_SHARE = 0.15
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
 SURPRISE_TIME, LEAST_SURPRISE = 5.0, 0.3
 """s, over which larger innovations than assumed are noticed: samples then count less."""
