@@ -3,7 +3,7 @@
     pip install --target DIR mujoco pybullet      # not dependencies of this package; DIR must not shadow our NumPy
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco mujoco-creep] [--only learning] [--json]
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --speed-control [--engine mujoco pybullet] [--seeds 3]
-    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --worlds 20 [--seed 5690] [--friction .4 .6] [--late .06]
+    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --worlds 20 --engine mujoco-creep pybullet [--late .06]
 
 Four wheels touch the ground by the engine's own contact and friction (`mujoco-creep`: as soft as real tyres at 15 m/s);
 nothing of our plants or tyres is in it. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
@@ -575,7 +575,8 @@ def line(row: dict[str, Any]) -> str:
 
 
 def drive_worlds(
-    engines: list[str], numbers: range, seed: int, friction: tuple[float, float], late: float, as_json: bool
+    engines: list[str], numbers: range, seed: int, friction: tuple[float, float], late: float, seconds: float,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Print a row for each slippery world, with its driven axle known and unknown, and a summary."""
     rows: list[dict[str, Any]] = []
@@ -583,6 +584,7 @@ def drive_worlds(
     for (name, engine), number in itertools.product(cars.items(), numbers):
         engine.brake_front = BRAKE_FRONT
         world, trip = slippery_world(seed, number, friction, late)
+        trip = replace(trip, seconds=min(trip.seconds, seconds))
         for label, driven_axle in {"axle known": "rear", "axle unknown": None}.items():
             sheet = car_sheet(world.assumed_mass, driven_axle)  # type: ignore[arg-type]
             controller = at.MPC(sheet, profile="road", belief="unknown", learning=at.Learning())
@@ -621,7 +623,7 @@ def main() -> None:
     given = ask.parse_args()
     if given.worlds:
         numbers = range(given.first, given.first + given.worlds)
-        drive_worlds(given.engine, numbers, given.seed, tuple(given.friction), given.late, given.json)
+        drive_worlds(given.engine, numbers, given.seed, tuple(given.friction), given.late, given.seconds, given.json)
         return
     found: list[dict[str, Any]] = []
     for name in given.engine:
