@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import adaptrack as at
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
@@ -22,7 +21,7 @@ from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed import friction as kernel
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
-from adaptrack.road import Arc, Comfort, Line
+from adaptrack.road import Arc, Comfort, Line, Road, generate_road, plan_speed
 
 CAR = load_vehicle("midsize-sedan")
 LOW, HIGH, PERIOD = 0.4, 1.0, 0.05
@@ -50,10 +49,10 @@ def _take_in(estimate: kernel.FrictionEstimate, **motion: float) -> tuple[float,
     return float(estimate.memory[0].low), float(estimate.memory[0].high)
 
 
-def _drive(friction: float, control: at.SpeedControl, seconds: float) -> SpeedController:
+def _drive(friction: float, control: SpeedControl, seconds: float) -> SpeedController:
     """The speed controller of a drive near the limit of the road for some seconds."""
-    road = at.generate_road("lap", 11, 1000.0).replace(speed_limit=None, friction=friction)
-    plan = at.plan_speed(road, CAR, Comfort(lateral=20.0, grip_share=0.95))
+    road = generate_road("lap", 11, 1000.0).replace(speed_limit=None, friction=friction)
+    plan = plan_speed(road, CAR, Comfort(lateral=20.0, grip_share=0.95))
     controller = MPC(CAR, profile="production")
     world = World.of(DualTrack(CAR), controller, "production", control, None, None)
     controller.reset()
@@ -73,7 +72,7 @@ def _drive(friction: float, control: at.SpeedControl, seconds: float) -> SpeedCo
 def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_roads() -> None:
     intervals = []
     for friction in (0.5, 0.9):
-        command = _drive(friction, at.SpeedControl(CAR, friction=(LOW, HIGH)), 20.0).command
+        command = _drive(friction, SpeedControl(CAR, friction=(LOW, HIGH), tyre_shape="file"), 20.0).command
         assert command.friction_low <= friction <= command.friction_high
         intervals.append((command.friction_low, command.friction_high))
     slippery, dry = np.array(intervals)
@@ -84,18 +83,18 @@ def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_r
 
 @pytest.mark.compiled
 def test_a_certain_friction_stays() -> None:
-    controller = _drive(0.9, at.SpeedControl(CAR, friction=0.6), 10.0)
+    controller = _drive(0.9, SpeedControl(CAR, friction=0.6), 10.0)
     assert controller.command.friction_low == controller.command.friction_high == 0.6
     memory, settings = controller.record.memory[0], controller.record.settings
     assert memory.friction == memory.friction_high == memory.cautious_friction == settings.friction
 
 
 def test_caution_lowers_drive_forces_in_bends_and_spares_the_brakes() -> None:
-    road = at.Road.from_segments([Line(length=300.0)], name="straight")
-    plan, low = at.plan_speed(road, CAR, Comfort(), top_speed=14.0), 0.3
+    road = Road.from_segments([Line(length=300.0)], name="straight")
+    plan, low = plan_speed(road, CAR, Comfort(), top_speed=14.0), 0.3
 
     def force(speed: float, cautious: float, lateral: float = 0.0) -> float:
-        controller = SpeedController(at.SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
+        controller = SpeedController(SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
         memory = controller.record.memory[0]
         memory.friction, memory.friction_high, memory.cautious_friction, memory.lateral = low, 1.0, cautious, lateral
         return controller.step(20.0, speed, lateral / speed).force
@@ -108,11 +107,9 @@ def test_caution_lowers_drive_forces_in_bends_and_spares_the_brakes() -> None:
 
 
 def test_a_car_that_slides_gets_no_drive_force_and_is_slower_in_the_bends_of_the_next_seconds() -> None:
-    road = at.Road.from_segments([Arc(length=1000.0, curvature=0.01)], name="bend")
+    road = Road.from_segments([Arc(length=1000.0, curvature=0.01)], name="bend")
     friction, speed = 0.6, 22.0
-    controller = SpeedController(
-        at.SpeedControl(CAR, friction=friction), road, at.plan_speed(road, CAR, Comfort()), PERIOD
-    )
+    controller = SpeedController(SpeedControl(CAR, friction=friction), road, plan_speed(road, CAR, Comfort()), PERIOD)
     controller.record.path.square[:] = 30.0**2
 
     stations = itertools.count(20.0, speed * PERIOD)
@@ -132,12 +129,12 @@ def test_a_car_that_slides_gets_no_drive_force_and_is_slower_in_the_bends_of_the
 
 
 def test_a_car_that_sways_on_a_straight_accelerates_less_until_it_has_calmed() -> None:
-    road = at.Road.from_segments([Line(length=300.0)], name="straight")
-    plan = at.plan_speed(road, CAR, Comfort(), top_speed=16.0)
+    road = Road.from_segments([Line(length=300.0)], name="straight")
+    plan = plan_speed(road, CAR, Comfort(), top_speed=16.0)
     laterals = {"straight": [0.0] * 240, "sways": [0.0] * 20 + [4.0, -4.0] * 10 + [0.0] * 200}
     forces: dict[str, list[float]] = {name: [] for name in laterals}
     for name, values in laterals.items():
-        controller, station, speed = SpeedController(at.SpeedControl(CAR, friction=0.6), road, plan, PERIOD), 20.0, 10.0
+        controller, station, speed = SpeedController(SpeedControl(CAR, friction=0.6), road, plan, PERIOD), 20.0, 10.0
         for lateral in values:
             forces[name].append(controller.step(station, speed, lateral / speed).force)
             station, speed = station + PERIOD * speed, speed + PERIOD * forces[name][-1] / CAR.mass
@@ -191,6 +188,11 @@ CURVES: dict[str, Callable[[float], float]] = {
 """Lateral force over friction times load; x: stiffness times slip over friction times load."""
 
 
+def _flattened(x: float) -> float:
+    """A wave with flat tops."""
+    return min(max(2.0 * x, -1.0), 1.0)
+
+
 def _weave(friction: float, curve: Callable[[float], float], estimate: kernel.FrictionEstimate, share: float) -> Any:
     """Ends of the interval in bends to both sides, at a share of the grip, on tyres whose load does not move."""
     wheels, vy, r, speed, step, weight = 0.0, 0.0, 0.0, 20.0, PERIOD / 25.0, CAR.mass * GRAVITY / CAR.wheelbase
@@ -198,8 +200,8 @@ def _weave(friction: float, curve: Callable[[float], float], estimate: kernel.Fr
     grip, random = friction * GRAVITY, np.random.default_rng(1)
     sent, ends = [0.0] * 2, []
     for k in range(1200):
-        wanted = share * grip / speed * _flattened(math.sin(2.0 * math.pi * k / 160.0))
-        sent = [0.2 * (wanted - r) + wanted * CAR.wheelbase / speed, sent[0]]
+        demand = share * grip / speed * _flattened(math.sin(2.0 * math.pi * k / 160.0))
+        sent = [0.2 * (demand - r) + demand * CAR.wheelbase / speed, sent[0]]
         for _ in range(25):
             wheels += step / KNOWLEDGE.lag * (sent[1] - wheels)
             slips = wheels - (vy + CAR.lf * r) / speed, -(vy - CAR.lr * r) / speed
@@ -216,11 +218,6 @@ def _weave(friction: float, curve: Callable[[float], float], estimate: kernel.Fr
             )
         )  # fmt: skip
     return np.array(ends)
-
-
-def _flattened(x: float) -> float:
-    """A wave with flat tops."""
-    return min(max(2.0 * x, -1.0), 1.0)
 
 
 @pytest.mark.compiled
@@ -262,3 +259,14 @@ def test_the_slope_of_a_brush_is_that_of_its_curve_at_the_used_share() -> None:
     for slip in (0.0, 0.01, 0.05, 0.09):
         force, slope = tyre.force_and_slope(slip, law)
         assert tyre.brush_slope(force / 3200.0) == pytest.approx(slope / 1e5, abs=1e-9)
+
+
+@pytest.mark.compiled
+def test_a_certain_friction_keeps_a_reserve_while_the_steering_is_learned_or_the_driven_axle_is_assumed() -> None:
+    control = SpeedControl(CAR, friction=0.6)
+    assumed = SpeedControl(CAR.replace(estimated=(*CAR.estimated, "drive_front")), friction=0.6)
+    for speed_control, expected in ((control, 0.0), (assumed, kernel.CERTAIN_RESERVE)):
+        controller = _drive(0.9, speed_control, 1.0)
+        memory, friction = controller.record.memory[0], controller.record.settings.friction
+        assert memory.cautious_friction == pytest.approx((1.0 - expected) * friction, rel=1e-12)
+        assert memory.friction == friction

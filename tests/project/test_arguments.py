@@ -262,6 +262,7 @@ IN_BODIES: dict[str, tuple[Callable[..., Any], str]] = {
     "PurePursuit": (lambda **options: at.PurePursuit(CAR, **options), "period (0, inf)"),
     "Reading": (at.Reading, "steering_ratio [0.1, 100]"),
     "RoadDrive": (lambda speed: at.RoadDrive(ROAD, speed), "speed (0, 100]"),
+    "SpeedControl": (lambda **options: at.SpeedControl(CAR, **options), "tyre_shape [1.05, 2]"),
     "Stanley": (lambda **options: at.Stanley(CAR, **options),
                 "gain softening yaw_rate_gain dead_time [0, inf); period (0, inf)"),
     "UserController": (lambda **options: at.UserController(steer_straight, **options), "period (0, inf)"),

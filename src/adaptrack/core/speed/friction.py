@@ -1,17 +1,19 @@
-"""Friction of the road as an interval: a bank of Kalman filters of the lateral motion, one for each coefficient.
+"""Friction of the road as an interval: a bank of Kalman filters of the lateral motion.
 
-Each hypothesis is the single-track vehicle on the tyres of the car with its coefficient mu:
+Each hypothesis is the single-track vehicle with a coefficient of friction and a shape of the tyres' curve:
 
-    dv_y/dt = (F_f + F_r)/m + bank + side - v_x r,   dr/dt = (l_f F_f - l_r F_r)/I_z
+    dv_y/dt = (F_f + F_r)/m + wind + bank - v_x r,   dr/dt = (l_f F_f - l_r F_r)/I_z + turn wind
 
-An axle has two wheels: load transfer by lateral and longitudinal acceleration, and the friction circle with the drive
-and brake forces, change what they can carry. The filter estimates [v_y, r, steering bias, ln stiffness, ln balance,
-side] from the yaw rate and, where they are measured, lateral acceleration and velocity. The wheels follow the commands
-behind dead time, lag and rate limit; a sample is compared with the motion at its own time. The weight of a hypothesis
-follows from the likelihood of its innovations.
+The largest force of an axle is its load times the largest steady lateral acceleration over g, which load transfer
+lowers; what it does to the curve is a part of the unknown shape. Drive and brake forces leave less, by the friction
+circle. The filter estimates [v_y, r, steering bias, ln stiffness, ln balance, wind, bank] from the yaw rate and, where
+they are measured, lateral acceleration and velocity. The wheels follow the commands behind dead time, lag and rate
+limit; a sample is compared with the motion at its own time. The score of a hypothesis sums the likelihoods of its
+innovations; a friction has the score of its better shape. A filter that is refuted follows the best one.
 
-Friction shows only where the tyres are near their limit. On a straight the weights return slowly, with the distance, to
-the prior, which is uniform within the given interval. The force that the tyres have used is a lower bound.
+Friction shows only where the tyres are near their limit. The low end rises only there; without excitation the interval
+returns with the distance to the given one, in which the frictions begin with equal weights. The acceleration that the
+tyres certainly use is a lower bound.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ FRICTION_HYPOTHESIS = record(
     "FrictionHypothesis",
     (
         "friction", "grip",  # -, -: of the tyres; largest steady lateral acceleration over g
-        "shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
+        "tyre_shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
         "score", "evidence",  # logarithm of the weight, and of the likelihood of the last sample
         ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
@@ -108,7 +110,7 @@ LEAST_SPEED = 4.0
 """m/s, below which the filters wait."""
 TAIL = 0.05
 """Probability outside either end of the interval."""
-MODEL_ERROR = 0.05
+MODEL_ERROR = 0.03
 """Of the friction, by which the model of the car widens the interval to either side."""
 RETURN_DISTANCE, EXCITED_SHARE, TELLING_SHARE = 300.0, 0.7, 0.4
 """m without excitation, over which the interval returns to what was told; -, used shares of the low end: that excites;
@@ -160,7 +162,7 @@ def _axle(slip, load, along, stiffness, h, c):
     q = 0.5 * load / c.nominal_load
     stiffness *= 2.0 * (c.stiffness_load_0 + c.stiffness_load_1 * q) / (1.0 + c.stiffness_load_2 * q * q)
     left = friction_ellipse(clip(along, -h.grip * load, h.grip * load), load, h.grip)
-    force, slope = force_and_slope(slip, curve(load, stiffness, h.grip, h.shape))
+    force, slope = force_and_slope(slip, curve(load, stiffness, h.grip, h.tyre_shape))
     return left * force, left * slope
 
 
@@ -216,7 +218,9 @@ def _predict(h, angle, turning, step, motion, c):
     speed, knowledge = motion.speed, motion.knowledge
     lateral, yawing, front, rear = _accelerations(h, angle, motion, c, slopes)
     push, twist = slopes[_Z.vy, _Z.bias], slopes[_Z.yaw_rate, _Z.bias]
-    turn = (c.lf + c.lr) * c.yaw_moment_slope * c.mass / (max(c.side_force_slope, 1e-3) * c.yaw_inertia)
+    turn = 0.0  # rad/s^2 over m/s^2, of the wind
+    if c.side_force_slope > 0.0:
+        turn = (c.lf + c.lr) * c.yaw_moment_slope * c.mass / (c.side_force_slope * c.yaw_inertia)
     slopes[_Z.vy, _Z.yaw_rate] -= speed
     slopes[_Z.vy, _Z.wind], slopes[_Z.vy, _Z.bank], slopes[_Z.yaw_rate, _Z.wind] = 1.0, 1.0, turn
     lateral += motion.pull + x[_Z.wind] + x[_Z.bank]
@@ -464,7 +468,7 @@ def begin_friction(estimate):
     for i in range(bank.size):
         bank[i].friction = low + (high - low) * (i // per) / max(bank.size // per - 1, 1)
         bank[i].grip = usable_friction(estimate.car, unpack(estimate.car).steering_limit, bank[i].friction)
-        bank[i].shape = estimate.shape if per == 1 else (PESSIMISTIC_SHAPE if i % 2 == 0 else BRUSH_SHAPE)
+        bank[i].tyre_shape = estimate.shape if per == 1 else (PESSIMISTIC_SHAPE if i % 2 == 0 else BRUSH_SHAPE)
     if bank.size > 1:
         _forget(estimate)
 
