@@ -3,6 +3,7 @@
     pip install --target DIR mujoco pybullet      # not dependencies of this package; DIR must not shadow our NumPy
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco mujoco-creep] [--only learning] [--json]
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --speed-control [--engine mujoco pybullet] [--seeds 3]
+    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --worlds 20 --engine mujoco-creep pybullet [--late .06]
 
 Four wheels touch the ground by the engine's own contact and friction (`mujoco-creep`: as soft as real tyres at 15 m/s);
 nothing of our plants or tyres is in it. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
@@ -18,11 +19,18 @@ statuses of the tracker, and states of the belief, that are not `ok`, with the n
 country road with slopes from -10 to 8 % (known, or assumed half as steep), have stops at 250, 500 and 700 m; the last
 one is the end of the country road. Gravity is tilted for a slope. Printed in addition: RMS error of the speed after
 20 s, where the plan is above 1 m/s, and for each stop the largest distance from it while the car stands.
+
+--worlds: the tracker drives the first 80 s of a lap on slippery ground, by a plan that uses 75 to 85 % of the friction.
+Each world has its own lap, actuators, steering bias, slopes and gusts, which are unknown to the controller. Its mass is
+up to 25 % wrong. Its friction is an interval that contains the true one, or .85 to 1 of the true one. Samples are late.
+Each world is driven with the driven axle known (rear) and unknown. Printed in addition: how far the low end of the
+friction was above the truth, and the distance lost: 1 - distance driven / distance planned for the same time.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import tempfile
@@ -31,7 +39,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -69,6 +77,12 @@ SEEDS = {
     "map": (8501,),
 }  # fmt: skip
 """Of the judged runs. The cars were made to stand and roll on seeds below 100."""
+WORLD_SEED = 5690
+"""Of the judged worlds. The mode was made on seeds below 100."""
+BRAKE_FRONT = 0.65
+"""Share of the front axle in the brakes of these worlds: on slippery ground the front wheels lock first."""
+LAP_SECONDS = 80.0
+"""s, of a lap that is driven"""
 ARMS = (FRONT, FRONT, FRONT - WHEELBASE, FRONT - WHEELBASE)
 SIDES = (0.5 * TRACK, -0.5 * TRACK) * 2
 
@@ -86,6 +100,9 @@ class State(NamedTuple):
 
 class Engine(Protocol):
     """A car in an engine."""
+
+    brake_front: float
+    """share of the front axle in the force of the brakes"""
 
     def place(self, x: float, y: float, yaw: float, speed: float) -> None:
         """Put it on the ground, driving."""
@@ -115,6 +132,8 @@ class MuJoCo:
     creep: s, time constant of the friction at the front and at the rear; None: the engine's own. Friction is a force
     that grows with the sliding speed, so that the stiffness of an axle grows with the car's speed.
     """
+
+    brake_front = 0.5
 
     def __init__(self, creep: tuple[float, float] | None = None) -> None:
         import mujoco
@@ -166,7 +185,7 @@ class MuJoCo:
 
     def step(self, angle: float, force: float, push: float, brake: float = 0.0) -> None:
         torques = wheel_torques(force)
-        self.model.dof_frictionloss[self.spins] = 0.25 * brake * RADIUS
+        self.model.dof_frictionloss[self.spins] = brake_torques(brake, self.brake_front)
         left, right = ackermann(angle)
         self.data.ctrl[:] = torques[0], left, torques[1], right, torques[2], torques[3]
         yaw = self.state().yaw
@@ -188,6 +207,8 @@ class MuJoCo:
 
 class PyBullet:
     """Rigid axles on spheres that roll by Bullet's contact: Coulomb friction without creep (E. Coumans)."""
+
+    brake_front = 0.5
 
     def __init__(self) -> None:
         import pybullet
@@ -259,7 +280,7 @@ class PyBullet:
             forces=[2e4, 2e4], positionGains=[0.4, 0.4], velocityGains=[1.0, 1.0],
         )  # fmt: skip
         self.bullet.setJointMotorControlArray(
-            self.car, self.spins, self.bullet.VELOCITY_CONTROL, forces=[0.25 * brake * RADIUS] * 4
+            self.car, self.spins, self.bullet.VELOCITY_CONTROL, forces=brake_torques(brake, self.brake_front)
         )  # a motor for speed 0 with a bounded torque is a brake
         self.bullet.setJointMotorControlArray(
             self.car, self.spins, self.bullet.TORQUE_CONTROL, forces=wheel_torques(force)
@@ -291,6 +312,11 @@ ENGINES: dict[str, Callable[[], Engine]] = {
 def wheel_torques(force: float) -> list[float]:
     """N m at the four wheels: the rear ones drive, all brake."""
     return [0.0, 0.0, *[0.5 * force * RADIUS] * 2] if force > 0.0 else [0.25 * force * RADIUS] * 4
+
+
+def brake_torques(force: float, front: float) -> list[float]:
+    """N m at the four wheels, by a force of the brakes (N) and the share of the front axle."""
+    return [0.5 * share * force * RADIUS for share in (front, front, 1.0 - front, 1.0 - front)]
 
 
 def planar(x: float, y: float, yaw: float, east: float, north: float, yaw_rate: float) -> State:
@@ -329,6 +355,47 @@ class Trip:
     """m, -: true grades along the road"""
 
 
+@dataclass(frozen=True)
+class World:
+    """Actuators and surroundings of a run, unknown to the controller, and what it assumes of mass and friction."""
+
+    steering: tuple[float, float]
+    drive: tuple[float, float] = DRIVE_DELAY
+    brakes: tuple[float, float] = BRAKE_DELAY
+    """s, lag and dead time"""
+    bias: float = 0.0
+    """rad, of the steering"""
+    friction: float = 1.0
+    gusts: float = 0.0
+    """m/s^2/s^.5, of the noise that moves the lateral acceleration by side wind"""
+    late: float = 0.0
+    """s, age of a sample when the tracker receives it"""
+    assumed_mass: float = MASS
+    assumed_friction: float | tuple[float, float] = (0.5, 1.0)
+
+
+def slippery_world(seed: int, number: int, friction: tuple[float, float], late: float) -> tuple[World, Trip]:
+    """World and lap of a number; friction: least and largest of all worlds."""
+    rng = np.random.default_rng((seed, number))
+    true_friction = float(rng.uniform(*friction))
+    interval = (true_friction * rng.uniform(0.7, 1.0), true_friction * rng.uniform(1.0, 1.6))
+    certain = true_friction * rng.uniform(0.85, 1.0)
+    world = World(
+        steering=(rng.uniform(0.08, 0.3), rng.uniform(0.03, 0.18)),
+        drive=(rng.uniform(0.1, 0.45), rng.uniform(0.05, 0.25)),
+        brakes=(rng.uniform(0.06, 0.25), rng.uniform(0.05, 0.2)),
+        bias=rng.uniform(-0.01, 0.01), friction=true_friction, gusts=rng.uniform(0.0, 0.2), late=late,
+        assumed_mass=MASS * rng.uniform(0.75, 1.25),
+        assumed_friction=interval if number % 2 else certain,
+    )  # fmt: skip
+    road = at.generate_road("lap", seed=1000 * seed + number, length=1500.0)
+    comfort = Comfort(lateral=20.0, accelerate=1.5, brake=2.0, grip_share=rng.uniform(0.75, 0.85))
+    plan = at.plan_speed(road.replace(friction=true_friction), car_sheet(driven_axle="rear"), comfort)
+    places = np.arange(0.0, road.length, 80.0)
+    slopes = tuple(places), tuple(rng.uniform(-0.08, 0.08, places.size))
+    return world, Trip("lap", number, road, plan, min(LAP_SECONDS, plan.duration - 5.0), slopes=slopes)
+
+
 def trips() -> list[Trip]:
     """Those that are judged."""
     found = [_generated("mountain", seed, 4.0, 120.0) for seed in SEEDS["mountain"]]
@@ -353,9 +420,9 @@ def stop_trips(seeds: int) -> list[Trip]:
     return stop_trips
 
 
-def car_sheet() -> at.Vehicle:
+def car_sheet(mass: float = MASS, driven_axle: Literal["rear"] | None = None) -> at.Vehicle:
     """The car with all that the controllers know of it."""
-    return at.vehicle_from_data_sheet("sheet", MASS, WHEELBASE)
+    return at.vehicle_from_data_sheet("sheet", mass, WHEELBASE, driven_axle=driven_axle)
 
 
 def _generated(kind: str, seed: int, lateral: float, seconds: float) -> Trip:
@@ -399,15 +466,15 @@ def controllers(delays: tuple[float, float]) -> dict[str, Any]:
 
 
 def drive(
-    engine: Engine, delays: tuple[float, float], controller: Any, trip: Trip, control: at.SpeedControl | None = None
+    engine: Engine, world: World, controller: Any, trip: Trip, control: at.SpeedControl | None = None
 ) -> dict[str, Any]:  # fmt: skip
     """Result of a run, in m and m/s; controller: or a tracker that has the path and the plan of the trip."""
     rng, own = np.random.default_rng(trip.seed), np.random.default_rng((trip.seed, 1))
-    noise, steering = at.load_profile("road"), Actuator(*delays, RATE)
-    powertrain, brakes, hold, speed_errors = Actuator(*DRIVE_DELAY), Actuator(*BRAKE_DELAY), 0.0, []
+    noise, steering = at.load_profile("road"), Actuator(*world.steering, RATE)
+    powertrain, brakes, hold, speed_errors = Actuator(*world.drive), Actuator(*world.brakes), 0.0, []
     standing: dict[float, list[float]] = {stop: [] for stop in STOPS}
     start = trip.road.at(1.0)
-    engine.friction(1.0)
+    engine.friction(world.friction)
     engine.gravity(0.0, 0.0)
     engine.place(float(start.x), float(start.y), float(start.heading), float(trip.plan.at(1.0)))
     tracker = controller
@@ -416,29 +483,35 @@ def drive(
     command, near, push, lost = 0.0, 1.0, 0.0, None
     offsets: list[float] = []
     said: Counter[str] = Counter()
+    recent: deque[State] = deque(maxlen=1 + round(world.late / DT))
+    gusts, friction_excess = 0.35 if trip.events else world.gusts, -math.inf
     for k in range(round(trip.seconds / DT)):
         t, car = k * DT, engine.state()
+        recent.append(car)
         if k % round(PERIOD / DT) == 0:
             foot = foot_near(trip.road, car.x, car.y, near)
             near, offset = float(foot.s), float(foot.offset)
-            if control is None and near > trip.road.length - 30.0:
+            if not trip.plan.stops and near > trip.road.length - 30.0:
                 break
             if not abs(offset) < DISTANCE or abs(math.atan2(car.vy, max(car.speed, 1.0))) > SIDESLIP:
                 lost = t
                 break
             offsets.append(offset)
+            seen = recent[0]
             sample = (
-                car.x + noise.noise_y * rng.normal(), car.y + noise.noise_y * rng.normal(),
-                car.yaw + noise.noise_yaw * rng.normal(), car.speed, car.yaw_rate + noise.noise_yaw_rate * rng.normal(),
+                seen.x + noise.noise_y * rng.normal(), seen.y + noise.noise_y * rng.normal(),
+                seen.yaw + noise.noise_yaw * rng.normal(), seen.speed,
+                seen.yaw_rate + noise.noise_yaw_rate * rng.normal(),
             )  # fmt: skip
-            vy = car.vy + noise.noise_vy * rng.normal()
-            told = tracker.step(t, *sample, lateral_velocity=vy)
+            vy = seen.vy + noise.noise_vy * rng.normal()
+            told = tracker.step(t - DT * (len(recent) - 1), *sample, lateral_velocity=vy, now=t)
             command = told.command
             said.update([told.status.value] + ([told.belief.name.lower()] if getattr(told, "belief", None) else []))
             now, soon = trip.plan.at([near, near + 0.1 * car.speed])
             force = MASS * ((soon - now) / 0.1 + 1.5 * (now - car.speed))
             if control is not None:
                 force, hold = told.longitudinal.force, told.longitudinal.hold
+                friction_excess = max(friction_excess, told.longitudinal.friction_low - world.friction)
                 if t > SETTLED and now > 1.0:
                     speed_errors.append(car.speed - now)
                 stop = min(STOPS, key=lambda place: abs(place - near))
@@ -449,15 +522,15 @@ def drive(
                 heading = float(trip.road.at(near).heading)
                 pull = -GRAVITY * math.sin(math.atan(np.interp(near, *trip.slopes)))
                 engine.gravity(pull * math.cos(heading), pull * math.sin(heading))
-            if trip.events:
-                push += PERIOD * (-push / 3.0) + 0.35 * MASS * math.sqrt(PERIOD) * own.normal()
-                if k % round(8.0 / DT) == 0:
+            if gusts:
+                push += PERIOD * (-push / 3.0) + gusts * MASS * math.sqrt(PERIOD) * own.normal()
+                if trip.events and k % round(8.0 / DT) == 0:
                     engine.friction(float(own.uniform(0.5, 1.0)))
         if control is None:
-            engine.step(steering.step(command), force, push)
+            engine.step(steering.step(command + world.bias), force, push)
         else:
             brake = brakes.step(max(-force, 0.0) + hold)
-            engine.step(steering.step(command), powertrain.step(max(force, 0.0)), push, brake)
+            engine.step(steering.step(command + world.bias), powertrain.step(max(force, 0.0)), push, brake)
     judged = np.array(offsets[round(1.0 / PERIOD) :] or [math.nan])
     return {
         "rms": float(np.sqrt(np.mean(judged**2))), "worst": float(np.max(np.abs(judged))), "lost": lost,
@@ -465,8 +538,15 @@ def drive(
         "said": {word: count for word, count in said.items() if word != "ok"},
     } | ({} if control is None else {
         "speed": float(np.sqrt(np.mean(np.square(speed_errors or [math.nan])))),
-        "stops": [max(errors, key=abs, default=math.inf) for errors in standing.values()],
+        "stops": [max(errors, key=abs, default=math.inf) for errors in standing.values() if trip.plan.stops],
+        "friction_excess": friction_excess, "distance_lost": _distance_lost(trip, near, PERIOD * len(offsets)),
     })  # fmt: skip
+
+
+def _distance_lost(trip: Trip, station: float, seconds: float) -> float:
+    """Share of the distance planned for a time (s) from 1 m on that a car at a station (m) has not driven."""
+    start = np.interp(1.0, trip.plan.s, trip.plan.time)
+    return 1.0 - (station - 1.0) / max(float(np.interp(start + seconds, trip.plan.time, trip.plan.s)) - 1.0, 1.0)
 
 
 def learned(controller: Any) -> dict[str, float] | None:
@@ -482,12 +562,48 @@ def line(row: dict[str, Any]) -> str:
     end = "" if row["lost"] is None else f"  lost at {row['lost']:.1f} s"
     words = [f"{word} {count}" for word, count in row["said"].items()]
     if "stops" in row:
-        words.insert(0, f"speed {row['speed']:.3f} m/s  stops " + " ".join(f"{error:+.3f}" for error in row["stops"]))
+        stops = " ".join(f"{error:+.3f}" for error in row["stops"]) or "none"
+        words.insert(0, f"speed {row['speed']:.3f} m/s  stops {stops}")
+        if not row["stops"]:
+            lost, excess = row["distance_lost"], row["friction_excess"]
+            words.insert(1, f"distance lost {100.0 * lost:.1f} %  friction low {excess:+.3f}")
     words += [f"{key} {value:.3g}" for key, value in (row["learned"] or {}).items()]
     return (
         f"{row['engine']:12s} {row['road']:9s} {row['seed']:5d} {row['controller']:13s} RMS {row['rms']:.4f}  worst "
         f"{row['worst']:.3f}  {row['seconds']:4.0f} s{end}  {'  '.join(words)}"
     )
+
+
+def drive_worlds(
+    engines: list[str], numbers: range, seed: int, friction: tuple[float, float], late: float, seconds: float,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Print a row for each slippery world, with its driven axle known and unknown, and a summary."""
+    rows: list[dict[str, Any]] = []
+    cars = {name: ENGINES[name]() for name in engines}
+    for (name, engine), number in itertools.product(cars.items(), numbers):
+        engine.brake_front = BRAKE_FRONT
+        world, trip = slippery_world(seed, number, friction, late)
+        trip = replace(trip, seconds=min(trip.seconds, seconds))
+        for label, driven_axle in {"axle known": "rear", "axle unknown": None}.items():
+            sheet = car_sheet(world.assumed_mass, driven_axle)  # type: ignore[arg-type]
+            controller = at.MPC(sheet, profile="road", belief="unknown", learning=at.Learning())
+            row = {"engine": name, "road": trip.name, "seed": number, "controller": label}
+            row |= drive(engine, world, controller, trip, at.SpeedControl(sheet, friction=world.assumed_friction))
+            rows.append(row)
+            if not as_json:
+                print(line(row), flush=True)
+    if as_json:
+        print(json.dumps(rows))
+        return
+    for name, label in itertools.product(engines, ("axle known", "axle unknown")):
+        runs = [row for row in rows if row["engine"] == name and row["controller"] == label]
+        lost = [row["seed"] for row in runs if row["lost"] is not None]
+        distances = 100.0 * np.array([row["distance_lost"] for row in runs if row["lost"] is None] or [math.nan])
+        print(
+            f"{name}, {label}: {len(lost)} of {len(runs)} lost {lost}; distance lost: mean {distances.mean():.1f} %, "
+            f"median {np.median(distances):.1f} %, largest {distances.max():.1f} %"
+        )
 
 
 def main() -> None:
@@ -498,8 +614,17 @@ def main() -> None:
     ask.add_argument("--seconds", type=float, default=math.inf, help="of each run at most")
     ask.add_argument("--speed-control", action="store_true", help="the tracker controls the speed as well, with stops")
     ask.add_argument("--seeds", type=int, default=3, help="of the noise on each road, with --speed-control")
+    ask.add_argument("--worlds", type=int, default=0, help="number of slippery worlds; 0: the runs above")
+    ask.add_argument("--first", type=int, default=0, help="number of the first of these worlds")
+    ask.add_argument("--seed", type=int, default=WORLD_SEED, help="of these worlds")
+    ask.add_argument("--friction", type=float, nargs=2, default=(0.4, 0.6), help="least and largest in these worlds")
+    ask.add_argument("--late", type=float, default=0.06, help="s, age of the samples in these worlds")
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
+    if given.worlds:
+        numbers = range(given.first, given.first + given.worlds)
+        drive_worlds(given.engine, numbers, given.seed, tuple(given.friction), given.late, given.seconds, given.json)
+        return
     found: list[dict[str, Any]] = []
     for name in given.engine:
         engine = ENGINES[name]()
@@ -511,7 +636,7 @@ def main() -> None:
                 begun = time.perf_counter()
                 row = {"engine": name, "road": trip.name, "seed": trip.seed, "controller": label}
                 control = at.SpeedControl(car_sheet()) if given.speed_control else None
-                row |= drive(engine, DELAYS[name], controller, trip, control)
+                row |= drive(engine, World(DELAYS[name]), controller, trip, control)
                 found.append(row)
                 if not given.json:
                     print(line(row), f"({time.perf_counter() - begun:.0f} s)", flush=True)

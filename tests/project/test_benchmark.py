@@ -63,7 +63,7 @@ def test_the_quick_form_of_a_benchmark_prints_its_table(command, project, tmp_pa
 
 @pytest.mark.compiled
 @pytest.mark.slow
-@pytest.mark.parametrize("option", ["", "--speed-control --seeds 1"])
+@pytest.mark.parametrize("option", ["", "--speed-control --seeds 1", "--worlds 1"])
 def test_a_car_in_an_engine_that_is_not_ours_is_driven(option, project):
     pytest.importorskip("mujoco", reason="needs mujoco: see benchmarks/foreign_engines.py")
     process = run_benchmark(f"foreign_engines.py --engine mujoco --only learning --seconds 3 {option}", project)
