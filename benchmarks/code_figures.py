@@ -49,7 +49,7 @@ CEILINGS: Mapping[str, int] = {
     "adaptrack": 40,
     "JavaScript, templates, C": 9710,
     "tests": 42370,
-    "benchmarks, tools, experiments, examples": 15880,
+    "benchmarks, tools, experiments, examples": 16010,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
