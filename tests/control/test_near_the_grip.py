@@ -159,6 +159,7 @@ class SameSlope(MPC):
         return super().step(np.append(state[: MEASUREMENT.friction], 1e9), *inputs, **road)
 
 
+@pytest.mark.compiled
 def test_on_a_straight_nothing_changes():
     road = Road.from_segments([Line(length=200.0), Arc(length=60.0, curvature=1.0 / RADIUS)])
     runs = [
@@ -171,6 +172,7 @@ def test_on_a_straight_nothing_changes():
     assert 150.0 < runs[0].road["station"][first] < 200.0  # the bend comes into the horizon
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("seed", [1, 3, 7])
 def test_the_lap_on_which_the_loop_swung_off_the_road_is_driven_within_15_centimetres(seed):
     drive = lap(5, 7.0)
@@ -180,6 +182,7 @@ def test_the_lap_on_which_the_loop_swung_off_the_road_is_driven_within_15_centim
     assert np.abs(run.error).max() < 0.15
 
 
+@pytest.mark.compiled
 def test_a_batch_near_the_grip_is_its_single_runs():
     drive = lap(5, 7.0)
     batch = rollout_batch(DualTrack(CAR), MPC(CAR, profile="road"), drive, profile="road",
