@@ -33,11 +33,11 @@ import adaptrack as at
 from adaptrack.analysis import linearisation
 from adaptrack.analysis.stability import margins
 from adaptrack.core.controllers import informed
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.synthesis.car import usable_friction
 from adaptrack.road import Comfort
 from adaptrack.road.speed import packed, steering_limit
 
-GRAVITY = 9.80665
 FRICTION = 0.9
 CARS = ("midsize-sedan", "van", "sports-car", "compact-ev")
 ROADS = [("lap" if seed % 2 else "mountain", seed) for seed in range(301, 311)]

@@ -9,10 +9,10 @@ import pytest
 
 from adaptrack import MPC, DualTrack, Learning, RoadDrive, SpeedControl, generate_road, load_vehicle, plan_speed
 from adaptrack.control.estimation import NOTHING_MEASURED
-from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import informed
 from adaptrack.core.estimators.learning import memory_of
 from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.physics.tyre import brush_slope
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate
@@ -21,9 +21,8 @@ from adaptrack.road.road_ahead import RoadAhead
 
 pytestmark = pytest.mark.kernels
 
-CAR, GRAVITY = load_vehicle("midsize-sedan"), 9.80665
+CAR = load_vehicle("midsize-sedan")
 SPEED, RADIUS = 20.0, 60.0
-LONG = [Line(length=300.0)]
 
 
 def circle(sign: float = 1.0) -> Road:
@@ -77,7 +76,7 @@ def test_the_other_direction_has_the_same_slope():
 # -- where it is ------------------------------------------------------------------------------------------------------
 def test_the_prediction_is_softer_in_a_bend_and_not_on_a_straight():
     mpc = MPC(CAR, profile="road")
-    step(mpc, Road.from_segments(LONG), 10.0)
+    step(mpc, Road.from_segments([Line(length=300.0)]), 10.0)
     assert slope(mpc) == 1.0
     bend = MPC(CAR, profile="road")
     step(bend, circle(), 100.0)
@@ -97,7 +96,7 @@ def test_filter_and_feed_forward_keep_the_slope_at_no_slip():
     before = mpc._mpc.parameters.copy()
     step(mpc, circle(), 100.0)
     assert slope(mpc) < 0.6
-    a, b, _ = PathModel.discrete(mpc.model, SPEED)
+    a, b, _ = mpc.model.discrete(SPEED)
     np.testing.assert_allclose(mpc._mpc.informed.a[0], a, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(mpc._mpc.informed.b[0], b[:, 0], rtol=1e-12, atol=1e-14)
     np.testing.assert_array_equal(mpc._mpc.parameters, before)
@@ -175,8 +174,7 @@ def test_on_a_straight_nothing_changes():
 @pytest.mark.compiled
 @pytest.mark.parametrize("seed", [1, 3, 7])
 def test_the_lap_on_which_the_loop_swung_off_the_road_is_driven_within_15_centimetres(seed):
-    drive = lap(5, 7.0)
-    run = simulate(DualTrack(CAR), MPC(CAR, profile="road"), drive, profile="road",
+    run = simulate(DualTrack(CAR), MPC(CAR, profile="road"), lap(5, 7.0), profile="road",
                    driver=SpeedControl(CAR, friction=0.9), seed=seed)  # fmt: skip
     assert run.failed is None
     assert np.abs(run.error).max() < 0.15

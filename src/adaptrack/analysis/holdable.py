@@ -23,7 +23,6 @@ from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
-from adaptrack.control.models import PathModel
 from adaptrack.core.controllers.informed import rear_slope
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
@@ -151,7 +150,7 @@ def _margins(
         return None
     # The gains of the estimator change slowly, so they are those of the turn before braking.
     turn_gains = estimator.with_turn_gains(without_braking.measured(plant, mpc.period), without_braking.steering)
-    slope = rear_slope(lateral, float(mpc.estimator.tyres[0])) if isinstance(mpc.model, PathModel) else 1.0
+    slope = rear_slope(lateral, mpc.estimator.tyres[0])
     law = laws(mpc, speed, mpc.tuning.as_array(), turn_gains, slope)
 
     def margin(share: float) -> float:

@@ -572,10 +572,11 @@ class MPC(Controller):
 
         state: what is measured, x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; for a model or an estimator
         that uses them also the wheel angle (rad), the lateral acceleration (m/s^2), the age of yaw and y (s) and that
-        of all others, and by how much (rad) the path has turned at the car's foot since the last step; speed: v_x
-        (m/s); reference: y_ref (m) now and, for preview, at the instants that follow (the last value is repeated as
-        needed); variables: what the scheduler looks at (`SchedulingVariables`), needed when there is one; road: a
-        curved one from the car's foot on, against which yaw, y and y_ref then count.
+        of all others, by how much (rad) the path has turned at the car's foot since the last step, and the friction
+        that may be assumed at least (0: unknown); speed: v_x (m/s); reference: y_ref (m) now and, for preview, at the
+        instants that follow (the last value is repeated as needed); variables: what the scheduler looks at
+        (`SchedulingVariables`), needed when there is one; road: a curved one from the car's foot on, against which yaw,
+        y and y_ref then count.
 
         While the speed is missing (not finite, or masked) the last one counts, for 6 s (`SPEED_KEPT`). A state,
         reference or speed that is not known gives no exception but a command that holds the previous angle, its status
