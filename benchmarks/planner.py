@@ -15,12 +15,10 @@ from __future__ import annotations
 import argparse
 import logging
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +29,7 @@ from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.control.kalman import Drifts
 from adaptrack.core.planned.records import GIVEN
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
-from adaptrack.drive.planner import Answer, Emitted, PlannedController, SimulatedPlanner, arrival_times
+from adaptrack.drive.planner import Arrivals, PlannedAnswer, PlannedController, SimulatedPlanner, arrival_times
 from adaptrack.road import Arc, Comfort, Line, Road, SpeedPlan, plan_speed
 from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.speed import constant_speed
@@ -102,20 +100,25 @@ def country(seed: int, is_slow: bool = False) -> at.RoadDrive:
 def bend(turn: int, wind: float = 0.0) -> at.RoadDrive:
     """A straight and a long bend to one side (-1 or 1), or with a side wind (m/s) a straight alone."""
     length = SECONDS * BEND_SPEED
-    elements = [Line(length=length)] if turn == 0 else [Line(length=80.0), Arc(length=length - 80.0, curvature=turn / BEND_RADIUS)]
+    elements = [Line(length=80.0 if turn else length)]
+    if turn:
+        elements.append(Arc(length=length - 80.0, curvature=turn / BEND_RADIUS))
     road = Road.from_segments(elements, name="bend")
     return at.RoadDrive(road, constant_speed(road, BEND_SPEED), wind=wind)
 
 
 @cache
-def swerving(side: int) -> tuple[at.RoadDrive, float]:
-    """A straight at 12 m/s with a swerve of `SWERVE` to one side, and its middle (m)."""
+def swerving(side: int) -> at.RoadDrive:
+    """A straight at 12 m/s with a swerve of `SWERVE` to one side (-1 or 1)."""
     s = np.arange(0.0, 300.0, 0.5)
-    begin, way = 120.0, SWERVE_SECONDS * 12.0
-    u = np.clip((s - begin) / way, 0.0, 1.0)
+    u = np.clip((s - 120.0) / (SWERVE_SECONDS * 12.0), 0.0, 1.0)
     y = side * SWERVE * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5)
     road = at.road_through(np.stack([s, y], axis=-1), noise=0.0, name="swerve")
-    return at.RoadDrive(road, constant_speed(road, 12.0)), begin + 0.5 * way
+    return at.RoadDrive(road, constant_speed(road, 12.0))
+
+
+Arrival = tuple[PlannedTrajectory, PlannedTrajectory | None]
+"""A trajectory and its fallback."""
 
 
 # -- planners ---------------------------------------------------------------------------------------------------------
@@ -133,30 +136,30 @@ class Changed:
     """
 
     planner: SimulatedPlanner
-    change: Callable[[PlannedTrajectory, float, at.RoadDrive], Emitted | None]
+    change: Callable[[PlannedTrajectory, float, at.RoadDrive], Arrival | None]
 
     def begin(self, drive: at.RoadDrive) -> Changed:
         """Begin a drive."""
         self._run, self._drive = self.planner.begin(drive), drive
         return self
 
-    def step(self, sample: Any) -> list[Emitted]:
+    def step(self, sample: Any) -> Arrivals:
         """Return the trajectories that arrive."""
         now = float(sample[TRACKER_SAMPLE.now])
-        arrived = [self.change(emitted.trajectory, now, self._drive) for emitted in self._run.step(sample)]
-        return [emitted for emitted in arrived if emitted is not None]
+        changed = [self.change(trajectory, now, self._drive) for trajectory, _ in self._run.step(sample)]
+        return [arrival for arrival in changed if arrival is not None]
 
 
-def in_turn(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Emitted:
+def in_turn(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Arrival:
     """Two planners in turn, each beside the line."""
     side = 0.5 * PLANNERS_APART * (-1.0) ** round(trajectory.stamp / 0.1)
     _, x, y, yaw, *_ = trajectory.given.T
-    return Emitted(changed(trajectory, x=x - side * np.sin(yaw), y=y + side * np.cos(yaw)))
+    return changed(trajectory, x=x - side * np.sin(yaw), y=y + side * np.cos(yaw)), None
 
 
-def ahead_of_car(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Emitted:
+def ahead_of_car(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Arrival:
     """A planner whose clock has gone on before the drive began."""
-    return Emitted(changed(trajectory, t=trajectory.given[:, 0] - BEHIND_CLOCK))
+    return changed(trajectory, t=trajectory.given[:, 0] - BEHIND_CLOCK), None
 
 
 def stop_from(drive: at.RoadDrive, stamp: float, begin: float, deceleration: float) -> PlannedTrajectory:
@@ -171,24 +174,24 @@ def stop_from(drive: at.RoadDrive, stamp: float, begin: float, deceleration: flo
     return PlannedTrajectory(t - stamp, line.x, line.y, yaw=line.heading, speed=v, stamp=stamp)
 
 
-def silent_for(seconds: float, has_fallback: bool) -> Callable[..., Emitted | None]:
+def silent_for(seconds: float, has_fallback: bool) -> Callable[..., Arrival | None]:
     """A planner that falls silent, with or without a fallback beside each of its trajectories."""
 
-    def change(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Emitted | None:
+    def change(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Arrival | None:
         if EVENT <= now < EVENT + seconds:
             return None
         stamp = trajectory.stamp
-        return Emitted(trajectory, stop_from(drive, stamp, stamp + 1.0, FALLBACK_BRAKING) if has_fallback else None)
+        return trajectory, stop_from(drive, stamp, stamp + 1.0, FALLBACK_BRAKING) if has_fallback else None
 
     return change
 
 
-def braking(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Emitted:
+def braking(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Arrival:
     """A planner that brakes at once."""
     if now < EVENT:
-        return Emitted(trajectory)
+        return trajectory, None
     stop = stop_from(drive, EVENT, EVENT, HARD_BRAKING)
-    return Emitted(changed(stop, t=stop.given[:, 0] - (trajectory.stamp - EVENT), stamp=trajectory.stamp))
+    return changed(stop, t=stop.given[:, 0] - (trajectory.stamp - EVENT), stamp=trajectory.stamp), None
 
 
 # -- trackers ---------------------------------------------------------------------------------------------------------
@@ -227,36 +230,51 @@ class PathTracker:
         return self._tracker.step(**signals)
 
 
-def planned_tracker(controller: Any, speed: at.SpeedControl) -> Any:
-    """The tracker that follows trajectories."""
-    return at.Tracker(controller, speed=speed, following=at.Following())
-
-
-TRACKERS: dict[str, Callable[[Any, at.SpeedControl], Any]] = {"planned": planned_tracker, "before": PathTracker}
-
-
 class WatchedController(PlannedController):
-    """A controller that notes when its tracker suspects what, and who drives."""
+    """A controller that notes what its tracker suspects and who drives; its tracker is one of `TRACKERS`."""
 
-    def reset(self) -> None:
-        """Begin again."""
-        super().reset()
+    kind = "planned"
+
+    def make_tracker(self) -> Any:
+        """Return a tracker at the start of a drive."""
         self.suspected: list[tuple[float, str]] = []
         self.driven_by: list[str] = []
+        return TRACKERS[self.kind](self) if self.kind in TRACKERS else super().make_tracker()
 
-    def answer(self, sample: Any) -> Answer:
+    def answer(self, sample: Any) -> PlannedAnswer:
         """Answer, and note."""
         answer = super().answer(sample)
-        now, said = float(sample[TRACKER_SAMPLE.now]), {text for _, text in self.suspected}
-        self.suspected += [(now, text) for text in self.tracked.suspect if text not in said]
+        now, known = float(sample[TRACKER_SAMPLE.now]), {text for _, text in self.suspected}
+        self.suspected += [(now, text) for text in self.tracked.suspect if text not in known]
         self.driven_by.append(str(getattr(self.tracked, "driven_by", "")))
         return answer
+
+
+@dataclass
+class FixedPath:
+    """No planner: the drive's road and plan as one path of the tracker."""
+
+    def begin(self, drive: at.RoadDrive) -> FixedPath:
+        """Begin a drive."""
+        return self
+
+    def step(self, sample: Any) -> Arrivals:
+        """Nothing arrives."""
+        return []
+
+
+TRACKERS: dict[str, Callable[[WatchedController], Any]] = {
+    "before": lambda controller: PathTracker(controller.controller, controller.speed),
+    "fixed": lambda controller: at.Tracker(
+        controller.controller, controller.drive.road, plan=controller.drive.plan, speed=controller.speed
+    ),
+}
 
 
 class DirectBraking(WatchedController):
     """A controller that requests the same deceleration directly, as soon as the planner would."""
 
-    def answer(self, sample: Any) -> Answer:
+    def answer(self, sample: Any) -> PlannedAnswer:
         """Answer with the request."""
         answer = super().answer(sample)
         if sample[TRACKER_SAMPLE.now] < EVENT:
@@ -298,12 +316,8 @@ def drive(
     kind: type[WatchedController] = WatchedController,
 ) -> Driven:  # fmt: skip
     """Simulate a drive; planner: None for one fixed path."""
-    mpc, speed = group.controller(with_drifts), at.SpeedControl(group.known)
-    if planner is None:
-        inner = at.Tracker(mpc, road_drive.road, plan=road_drive.plan, speed=speed)
-    else:
-        inner = TRACKERS[tracker](mpc, speed)
-    controller = kind(inner, planner)
+    controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath())
+    controller.drive, controller.kind = road_drive, "fixed" if planner is None else tracker
     run = at.simulate(at.DualTrack(group.vehicle), controller, road_drive, profile=group.profile, seed=seed)
     return Driven(run, controller, road_drive)
 
@@ -334,7 +348,7 @@ def compare(driven: Driven, reference: Driven) -> dict[str, float]:
 
 
 def mismatch(
-    planner: SimulatedPlanner, change: Callable[..., Emitted | None] | None = None, *, is_slow: bool = False
+    planner: SimulatedPlanner, change: Callable[..., Arrival | None] | None = None, *, is_slow: bool = False
 ) -> Callable[[Group, int, str], dict[str, float]]:
     """A case on country roads whose planner differs."""
 
@@ -421,13 +435,14 @@ def braked(group: Group, seed: int, tracker: str) -> dict[str, float]:
 
 def swerve(group: Group, seed: int, tracker: str) -> dict[str, float]:
     """A swerve: how much later than along a fixed path the car has made half of it."""
-    road_drive, middle = swerving(1 if seed % 2 else -1)
-    times = []
+    road_drive, times = swerving(1 if seed % 2 else -1), []
+    offsets: list[float] = []
     for planner in (SimulatedPlanner(seed=seed), None):
         driven = drive(group, road_drive, planner, seed, tracker)
-        y = np.abs(driven.run.Y)
-        times.append(float(driven.run.t[np.flatnonzero(y > 0.5 * SWERVE)[0]]) if (y > 0.5 * SWERVE).any() else math.inf)
-    return {"lost": driven.lost, "delay": times[0] - times[1], "largest": float(np.nanmax(np.abs(driven.run.road["offset"])))}
+        half = driven.run.t[np.abs(driven.run.Y) > 0.5 * SWERVE]
+        times.append(float(half[0]) if half.size else math.inf)
+        offsets.append(float(np.nanmax(np.abs(driven.run.road["offset"]))))
+    return {"lost": driven.lost, "delay": times[0] - times[1], "largest": offsets[0], "fixed largest": offsets[1]}
 
 
 CASES: dict[str, Callable[[Group, int, str], dict[str, float]]] = {
@@ -470,7 +485,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=REPORTED_SEED)
     parser.add_argument("--cars", nargs="+", default=list(CARS), choices=CARS)
     parser.add_argument("--profiles", nargs="+", default=PROFILES)
-    parser.add_argument("--tracker", default="planned", choices=TRACKERS)
+    parser.add_argument("--tracker", default="planned", choices=["planned", *TRACKERS])
     arguments = parser.parse_args()
     logging.getLogger("adaptrack").setLevel(logging.ERROR)
     names = [name for name in CASES if name in arguments.cases or name.partition("-")[0] in arguments.cases]
