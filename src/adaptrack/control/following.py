@@ -82,6 +82,11 @@ class FollowedPlan(NamedTuple):
     comfort: Comfort
 
 
+def sentence_of(status: int, entry: int, trajectory: Any) -> str:
+    """Say what is wrong with a trajectory."""
+    return f"status {status} at point {entry}"
+
+
 class Taken(NamedTuple):
     """What became of a trajectory, and what is followed of it."""
 

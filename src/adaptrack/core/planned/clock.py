@@ -1,7 +1,7 @@
 """Stamps of a planner on the clock of the tracker: which trajectories are in time, and how much the clocks differ.
 
-What two clocks differ by and what a message takes on its way cannot be told apart by stamps. So the offset is told
-(0: one clock), or it is the least delay of all arrivals, with an allowance for clocks that run apart.
+What two clocks differ by and what a message takes on its way cannot be told apart by stamps. So stamps that are in time
+count as those of one clock, unless an offset is told; the offset of others is the least delay of their arrivals.
 """
 
 from __future__ import annotations
@@ -33,15 +33,10 @@ def forget_planner(memory):
 
 
 @inlined
-def offset_in_use(settings, memory):
+def _offset(settings, memory):
     """s, to add to the planner's stamps."""
-    return memory.clock_offset if memory.clock_offset == memory.clock_offset else settings.clock_offset
-
-
-@inlined
-def _believe(offset, memory):
-    """Take up another clock, of this offset (s)."""
-    memory.clock_offset, memory.stamp, memory.other_stamps = offset, -math.inf, 0
+    told = settings.clock_offset if settings.clock_offset == settings.clock_offset else 0.0
+    return memory.clock_offset if memory.clock_offset == memory.clock_offset else told
 
 
 @inlined
@@ -49,26 +44,25 @@ def place_stamp(stamp, arrival, settings, memory):
     """Return the verdict on a stamp (s) that arrives at a time (s), and that stamp on the tracker's clock.
 
     A stamp of 0, or none, is that of the arrival. Stamps that fit no clock so far are refused until so many in a row
-    (`CONSISTENT`) agree with each other: the planner has begun its clock anew.
+    (`CONSISTENT`) agree with each other: it is another clock, or the planner has begun its own anew.
     """
     if stamp == 0.0 or stamp != stamp:
         return TAKEN, arrival
     delay = arrival - stamp  # of the message, and the offset of the clocks
-    if not math.isfinite(offset_in_use(settings, memory)):
-        memory.clock_offset = delay
-    age = delay - offset_in_use(settings, memory)
-    is_estimated = not math.isfinite(settings.clock_offset)
-    if is_estimated and -FUTURE <= age <= settings.oldest:
+    since = delay - memory.clock_offset
+    if -FUTURE <= since <= settings.oldest:  # an offset that was found
         allowed = CLOCK_DRIFT * clip(arrival - memory.arrival, 0.0, 1.0)
         memory.clock_offset = min(memory.clock_offset + allowed, delay)
-        age = delay - memory.clock_offset
+    offset = _offset(settings, memory)
+    age = delay - offset
     if -FUTURE <= age <= settings.oldest:
         memory.other_stamps = 0
-        return OLDER if stamp < memory.stamp else TAKEN, stamp + offset_in_use(settings, memory)
-    agrees = memory.other_stamps > 0 and -FUTURE <= delay - memory.other_offset <= settings.oldest
+        return OLDER if stamp < memory.stamp else TAKEN, stamp + offset
+    beyond = delay - memory.other_offset
+    agrees = memory.other_stamps > 0 and -FUTURE <= beyond <= settings.oldest
     memory.other_stamps = memory.other_stamps + 1 if agrees else 1
     memory.other_offset = min(memory.other_offset, delay) if agrees else delay
     if memory.other_stamps < CONSISTENT:
         return EARLY if age < 0.0 else STALE, arrival
-    _believe(memory.other_offset, memory)
+    memory.clock_offset, memory.stamp, memory.other_stamps = memory.other_offset, -math.inf, 0
     return TAKEN, stamp + memory.clock_offset

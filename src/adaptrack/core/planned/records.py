@@ -35,11 +35,11 @@ PLANNED_SETTINGS = record("PlannedSettings", (
           "[0, 1]"),
     Field("speed_limit", "m/s", float("nan"), "that catching up never exceeds; unknown: the largest planned speed near "
           "the place", "(0, 100]"),
-    Field("clock_offset", "s", 0.0, "to add to the planner's stamps for the tracker's clock; unknown: the least delay of "
-          "arrivals", "(-inf, inf)"),
-    "tracked_arm",  # m, from the centre of mass forwards to the point that follows the path
-    "position_noise",  # m, standard deviation of a measured position
-    "period",  # s
+    Field("clock_offset", "s", float("nan"), "to add to the planner's stamps for the tracker's clock; unknown: 0 while "
+          "stamps are in time, else the least delay of arrivals", "(-inf, inf)"),
+    Field("tracked_arm", "m", 0.0, "from the centre of mass forwards to the point that follows the path"),
+    Field("position_noise", "m", 0.0, "standard deviation of a measured position"),
+    Field("period", "s", 0.05, "control period"),
 ))  # fmt: skip
 """How a planner is followed."""
 

@@ -88,10 +88,10 @@ def _offset_at(s, feet, count, first):
 
 
 @inlined
-def kept_until(car, tolerance, feet, count):
-    """Arc length (m) on the line before up to which it is kept; -inf: it is not.
+def kept_until(car, tolerance, feet, count, old):
+    """Arc length (m) on the line before up to which it is kept, one of its points; -inf: it is not kept.
 
-    tolerance: m, by which lines that agree may differ.
+    tolerance: m, by which lines that agree may differ; old: as in `join`.
     """
     end, last = car.station + KEPT_TIME * car.speed + KEPT_WAY, -math.inf
     for j in range(count):
@@ -102,7 +102,10 @@ def kept_until(car, tolerance, feet, count):
         last = min(feet[j, 0], end)
         if last == end:
             break
-    return last if last > car.station + LEAST_KEPT_TIME * car.speed + LEAST_KEPT_WAY else -math.inf
+    until, least = -math.inf, car.station + LEAST_KEPT_TIME * car.speed + LEAST_KEPT_WAY
+    for i in range(len(old)):
+        until = old[i, 2] if least < old[i, 2] <= last else until
+    return until
 
 
 @inlined
@@ -120,7 +123,7 @@ def join(nodes, count, feet, until, car, line, old, points):
     points (`FRONT_ROOM`) stay free.
     """
     written, first = FRONT_ROOM, 0
-    begin = car.station - BEHIND - BEHIND_TIME * car.speed
+    begin = car.station - BEHIND - BEHIND_TIME * car.speed - LONGEST_STEP
     fade = max(until - FADE_TIME * car.speed - FADE_WAY, car.station)
     if until > -math.inf and count > 1:
         for i in range(len(old)):
@@ -147,8 +150,16 @@ def join(nodes, count, feet, until, car, line, old, points):
 
 
 @inlined
+def _direction(k, points):
+    """Direction of a line (unit vector) from a point to the next."""
+    dx, dy = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+    way = hypot(dx, dy)
+    return dx / way, dy / way
+
+
+@inlined
 def extend(car, yaw, written, points):
-    """Let a line begin behind the car, along its first direction: the first row that counts.
+    """Let a line begin behind the car, straight along its tangent there: the first row that counts.
 
     yaw: rad, of a line of one point; written: rows of points so far.
     """
@@ -156,22 +167,17 @@ def extend(car, yaw, written, points):
     x, y = points[first, 0], points[first, 1]
     dx, dy = cos(yaw), sin(yaw)
     if written - first > 1:
-        way = hypot(points[first + 1, 0] - x, points[first + 1, 1] - y)
-        dx, dy = (points[first + 1, 0] - x) / way, (points[first + 1, 1] - y) / way
+        dx, dy = _direction(first, points)
+    if written - first > 2:  # from the directions of two steps to that at the first point
+        next_x, next_y = _direction(first + 1, points)
+        dx, dy = 1.5 * dx - 0.5 * next_x, 1.5 * dy - 0.5 * next_y
     ahead = (x - car.x) * dx + (y - car.y) * dy if car.x == car.x else 0.0  # m, of the car
-    needed = ahead + BEHIND + BEHIND_TIME * car.speed
-    missing = MIN_PATH_POINTS - (written - first)
+    needed, missing = ahead + BEHIND + BEHIND_TIME * car.speed, MIN_PATH_POINTS - (written - first)
     if needed <= 0.0 and missing <= 0:
         return first
-    added = min(max(4, missing), FRONT_ROOM)
+    added = min(max(MIN_PATH_POINTS, missing), FRONT_ROOM)
     step = max(needed, BEHIND) / added
     for k in range(added):
         first -= 1
         points[first, 0], points[first, 1] = x - (k + 1) * step * dx, y - (k + 1) * step * dy
     return first
-
-
-@inlined
-def length_of(line):
-    """m, of a line."""
-    return line.numbers[LENGTH]

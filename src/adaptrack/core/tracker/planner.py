@@ -76,7 +76,7 @@ def _car_at(time, tracker):
     """The car at a time (s), on the line that it follows."""
     m = tracker.memory[0]
     if m.started == 0:
-        return splice.CarOnLine(math.nan, math.nan, 0.0, pose.forward(m), math.nan)
+        return splice.CarOnLine(math.nan, math.nan, 0.0, 0.0, math.nan)
     since = clip(time - pose.time_of(m, tracker.settings[0].period), 0.0, LONGEST_WAIT)
     x, y, yaw = pose.carried(m, since, pose.forward(m), m.yaw_rate)
     station = m.station + since * pose.forward(m) if m.offset == m.offset else math.nan
@@ -208,8 +208,8 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         splice.project(nodes, count, car.station, centreline, feet)
         sigma = splice.AGREEMENT_SIGMAS
         tolerance = max(sigma * settings.position_noise, splice.LEAST_AGREEMENT) + sigma * noise
-        if arrival.role == PLANNER and arrival.is_urgent == 0 and len(planned.points) > 0:
-            until = splice.kept_until(car, tolerance, feet, count)
+        if arrival.role == PLANNER and arrival.is_urgent == 0:
+            until = splice.kept_until(car, tolerance, feet, count, planned.points)
     written = splice.join(nodes, count, feet, until, car, pose.line(tracker), planned.points, points)
     first = splice.extend(car, given[0, 3], written, points)
     flaw, _ = path_through(points[first:written], False, 0.0, rest)
