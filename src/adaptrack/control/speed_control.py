@@ -422,9 +422,10 @@ class SpeedController:
         """
         sample = self.record.sample
         is_guided = math.isfinite(station)
-        top_speed = sample[0].top_speed
+        last = sample[0]
         sample[0] = (
-            station, 0.0, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, top_speed, blind_time, grade, 1.0,
+            station, 0.0, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, last.top_speed, blind_time, grade,
+            1.0, last.is_timed, last.correction, last.correction_limit,
         )  # fmt: skip
         tracked_kernel.speed_control_step(self._resident)
         return self.command
