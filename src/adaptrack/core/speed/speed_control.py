@@ -1,9 +1,9 @@
 """Speed control along a planned path: governor, follower, stops and traction guard, once a control period.
 
-Order of precedence: fault, driver, blind, grip, stop, speed limit, comfort.
+Order of precedence: fault, driver, blind, grip, stop, speed limit, comfort, clock.
 
     governor   lowers the squares of the planned speeds ahead to what the assumed friction leaves, and after a slide to
-               less, by one backward pass
+               less, by one backward pass; before that, the speeds of a timed trajectory are corrected by the clock
     follower   acceleration at the place where the request acts: the plan's, the error of the speed, a disturbance
     stop       before a stop constant jerk, so that speed and acceleration reach 0 together
     hold       at rest brakes that hold any usual slope, and more while the car rolls; they are released gradually
@@ -82,6 +82,9 @@ SPEED_SAMPLE = record(
         "blind_time",  # s, since the last position
         "grade",  # dz/ds under the car, measured, positive uphill; NaN: that of the path
         "periods",  # control periods since the last step
+        "is_timed",  # 1: the plan is a planner's trajectory: its own decelerations are followed up to `emergency`
+        "correction",  # m/s, of the planned speeds, by which the car keeps the times of the trajectory
+        "correction_limit",  # m/s, speed that the correction never exceeds
     ),
 )  # fmt: skip
 """What a speed controller is given once a control period."""
@@ -219,6 +222,8 @@ GENTLE_LAUNCH, DESCENT = 0.15, 0.5
 the car going."""
 LEAST_TARGET = 0.3
 """m/s, least speed to reach where no stop is ahead, so that a car leaves a place with a planned speed of 0."""
+PASSED_CELLS = 2
+"""Cells behind the car in which the deceleration of a trajectory still counts, so that it holds up to a stop."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
 BRAKE_CAUTION, KNOWN_DELAY = 2.0, 0.05
@@ -286,17 +291,49 @@ def slope_of(grade):
 
 # -- the governor -----------------------------------------------------------------------------------------------------
 @inlined
-def _govern(station, top_square, push, settings, path, memory, ahead):
+def _planned_square(cell, sample, path):
+    """Square of the planned speed (m^2/s^2) at a cell, corrected by the clock."""
+    planned = path.square[cell]
+    if sample.correction == 0.0:
+        return planned
+    speed = sqrt(planned)
+    return square(clip(speed + sample.correction, 0.0, max(speed, sample.correction_limit)))
+
+
+@inlined
+def _planned_braking(k, settings, path):
+    """Deceleration (m/s^2) of a trajectory behind a place of the grid, at least of comfort, at most `emergency`."""
+    change = path.square[cell_at((k + 0.5) * path.spacing, path)] - path.square[cell_at((k + 1.5) * path.spacing, path)]
+    return max(min(0.5 * change / path.spacing, settings.emergency), settings.brake)
+
+
+@inlined
+def _stop_braking(way, sample, settings, path, memory):
+    """Deceleration (m/s^2) on the way (m) to a stop: of comfort, or the largest that a trajectory needs to stop there.
+
+    Without a stop, and where the plan has no times, that of comfort. At most `emergency`.
+    """
+    needed, stop = 0.0, memory.station + way
+    if sample.is_timed > 0.0 and stop < math.inf:
+        for k in range(whole(floor(memory.station / path.spacing)) - PASSED_CELLS, whole(floor(stop / path.spacing))):
+            distance = stop - k * path.spacing
+            needed = max(needed, 0.5 * path.square[cell_at((k + 0.5) * path.spacing, path)] / distance)
+    return max(min(needed, settings.emergency), settings.brake)
+
+
+@inlined
+def _govern(sample, top_square, push, settings, path, memory, ahead):
     """Write the squares of the speeds (m^2/s^2) that friction, comfort and the next stop allow at the cells ahead.
 
     top_square: m^2/s^2, of the speed up to which the steering is known; push: m/s^2, of an unknown descent.
     """
+    station = memory.station
     first, grip = whole(floor(station / path.spacing)), memory.friction * GRAVITY
     bend_grip = settings.governor * memory.cautious_friction * GRAVITY
     bend_grip -= min(SLIDE_CAUTION * memory.slide, LARGEST_SLIDE_SHARE * bend_grip)
     for j in range(ahead.size):
         cell = cell_at((first + j + 0.5) * path.spacing, path)
-        square_speed, curvature = min(path.square[cell], top_square), path.curvature[cell]
+        square_speed, curvature = min(_planned_square(cell, sample, path), top_square), path.curvature[cell]
         if abs(curvature) > STRAIGHT:
             tilt = path.bank[cell] if curvature > 0.0 else -path.bank[cell]
             square_speed = min(square_speed, max(bend_grip + tilt, 0.0) / abs(curvature))
@@ -310,23 +347,24 @@ def _govern(station, top_square, push, settings, path, memory, ahead):
         cell = cell_at((first + j + 0.5) * path.spacing, path)
         lateral = min(abs(ahead[j + 1] * path.curvature[cell] - path.bank[cell]), LARGEST_BEND_SHARE * grip)
         _, braking = _axle_forces(memory.friction, lateral, settings)
-        deceleration = min(settings.guard * braking / settings.mass + path.slope[cell] - push, settings.brake)
+        strongest = _planned_braking(first + j, settings, path) if sample.is_timed > 0.0 else settings.brake
+        deceleration = min(settings.guard * braking / settings.mass + path.slope[cell] - push, strongest)
         ahead[j] = min(ahead[j], ahead[j + 1] + 2.0 * path.spacing * max(deceleration, LEAST_BRAKING))
 
 
 # -- one period -------------------------------------------------------------------------------------------------------
 @inlined
-def _stopping_motion(way, lead, jerk, settings):
+def _stopping_motion(way, lead, jerk, braking):
     """Speed (m/s) on the way (m) to a stop, and acceleration (m/s^2) there a lead (s) later.
 
-    The deceleration of comfort is followed by a constant jerk (m/s^3), with which both reach 0 together.
+    The deceleration (m/s^2) is followed by a constant jerk (m/s^3), with which both reach 0 together.
     """
     if way <= 0.0:
         return 0.0, 0.0
-    easing = settings.brake / jerk  # s, of the jerk
+    easing = braking / jerk  # s, of the jerk
     easing_way = jerk * easing * easing * easing / 6.0
     if way >= easing_way:
-        return sqrt(square(0.5 * settings.brake * easing) + 2.0 * settings.brake * (way - easing_way)), -settings.brake
+        return sqrt(square(0.5 * braking * easing) + 2.0 * braking * (way - easing_way)), -braking
     remaining = power(6.0 * way / jerk, 1.0 / 3.0)
     return 0.5 * jerk * remaining * remaining, -jerk * max(remaining - lead, 0.0)
 
@@ -575,11 +613,11 @@ def _braking_share(drive, brakes, memory):
 
 
 @inlined
-def _aim(index, way, top_square, resistance, period, settings, path, memory, banks, ahead):
+def _aim(sample, index, way, stop_braking, top_square, resistance, period, settings, path, memory, banks, ahead):
     """Motion to request, for the place at which drive or brakes act.
 
-    index, way: of the next stop, and m to it. Return the acceleration (m/s^2), the speed to reach and the coming speed
-    (m/s), the coming way to the stop (m), and the cause.
+    index, way, stop_braking: of the next stop, m to it, m/s^2 on the way. Return the acceleration (m/s^2), the speed
+    to reach and the coming speed (m/s), the coming way to the stop (m), and the cause.
     """
     drive, brakes, station = period.drive, period.brakes, memory.station
     share = _braking_share(drive, brakes, memory)
@@ -596,14 +634,14 @@ def _aim(index, way, top_square, resistance, period, settings, path, memory, ban
     target = max(sqrt(max(target_square, 0.0)), LEAST_TARGET)
     change = _square_at(lead + LEAD_DISTANCE, station, path, ahead) - _square_at(lead, station, path, ahead)
     acceleration, cause = 0.5 * change / LEAD_DISTANCE, BY_GRIP
-    if target_square >= path.square[cell_at(place, path)] * 0.999:
+    if target_square >= _planned_square(cell_at(place, path), sample, path) * 0.999:
         cause = BY_PLAN
     elif target_square >= top_square * 0.999:
         cause = BY_FAULT if memory.on_probation > 0.0 else BY_UNKNOWN_STEERING
     remaining_way = way - coming_way - (AIMED_DISTANCE if memory.travelled > stops.ARRIVAL_WAY else 0.0)
-    jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
+    jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag) * (stop_braking / settings.brake)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * true_ratio * coming_speed
-    stop_speed, stop_acceleration = _stopping_motion(remaining_way - caution_way, lag, jerk, settings)
+    stop_speed, stop_acceleration = _stopping_motion(remaining_way - caution_way, lag, jerk, stop_braking)
     if memory.travelled + way < SHORT_MOVE:
         slow = sqrt(2.0 * SHORT_MOVE_BRAKE * max(remaining_way, 0.0))
         if slow < stop_speed:
@@ -615,7 +653,7 @@ def _aim(index, way, top_square, resistance, period, settings, path, memory, ban
 
 
 @inlined
-def _follow(index, way, top_square, period, settings, path, memory, banks, ahead):
+def _follow(sample, index, way, top_square, period, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests. index, way: of the stop, and m to it."""
     is_near = -math.inf < way < stops.NEAR_STOP and memory.travelled <= stops.ARRIVAL_WAY
     has_arrived = way <= stops.STOP_TOLERANCE < stops.ARRIVAL_WAY < memory.travelled
@@ -629,8 +667,9 @@ def _follow(index, way, top_square, period, settings, path, memory, banks, ahead
     if is_at_start and _start(way, period, settings, memory):
         memory.speed_state, memory.limited_by = DRIVING, BY_PLAN
         return
+    stop_braking = _stop_braking(way, sample, settings, path, memory)
     acceleration, target, coming_speed, remaining_way, cause = _aim(
-        index, way, top_square, resistance, period, settings, path, memory, banks, ahead
+        sample, index, way, stop_braking, top_square, resistance, period, settings, path, memory, banks, ahead
     )
     disturbance = period.brakes.disturbance if memory.is_braking > 0 else period.drive.disturbance
     tyres = acceleration + settings.gain * (target - coming_speed) + resistance - disturbance
@@ -638,20 +677,24 @@ def _follow(index, way, top_square, period, settings, path, memory, banks, ahead
     if (tyres < -band and memory.is_braking == 0) or (tyres > band and memory.is_braking > 0):
         memory.is_braking = 1 - memory.is_braking
         acceleration, target, coming_speed, remaining_way, cause = _aim(
-            index, way, top_square, resistance, period, settings, path, memory, banks, ahead
+            sample, index, way, stop_braking, top_square, resistance, period, settings, path, memory, banks, ahead
         )
     memory.limited_by, memory.target_speed, memory.speed_state = cause, target, DRIVING
     memory.hold = max(memory.hold - STARTED_RELEASE_RATE * period.duration * settings.mass, 0.0)
     if cause in (BY_STOP, BY_PATH_END):
         memory.speed_state = STOPPING
         is_far = remaining_way > stops.STOP_TOLERANCE
-        if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * remaining_way:
+        if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * stop_braking * remaining_way:
             memory.speed_state, memory.hold, memory.handover, memory.is_braking = EMERGENCY, 0.0, 0.0, 1
             needed = 0.5 * square(coming_speed) / max(remaining_way, REACHED)
             _request(-min(needed, settings.emergency), memory.speed, period, settings, memory)
             return
     demand = acceleration + settings.gain * (target - coming_speed)
-    bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
+    strongest = COMFORT_RESERVE * settings.brake
+    if sample.is_timed > 0.0:
+        planned_braking = stop_braking if cause in (BY_STOP, BY_PATH_END) else -acceleration
+        strongest = max(strongest, min(COMFORT_RESERVE * planned_braking, settings.emergency))
+    bounded = clip(demand, -strongest, COMFORT_RESERVE * settings.accelerate)
     if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
     bounded = _hand_over(bounded, settings, memory) - faults.probing_deceleration(memory)
@@ -794,7 +837,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     slope, lateral = _slope_at(sample.grade, path, memory), _sense_lateral(sample.yaw_rate, path, memory, dt)
     is_braked = memory.force < 0.0 or memory.hold > 0.0
     memory.creeping = memory.creeping + dt if is_braked and abs(memory.speed) < CREEPING_SPEED else 0.0
-    _govern(memory.station, top_square, max(brakes.disturbance, 0.0), settings, path, memory, ahead)
+    _govern(sample, top_square, max(brakes.disturbance, 0.0), settings, path, memory, ahead)
     period = ControlPeriod(dt, slope, lateral, drive, brakes)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if sample.driver > 0.0:
@@ -821,7 +864,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         memory.limited_by = _stop_cause(index, path)
         _stand(-way, period, settings, memory)
     else:
-        _follow(index, way, top_square, period, settings, path, memory, banks, ahead)
+        _follow(sample, index, way, top_square, period, settings, path, memory, banks, ahead)
     learning.remember_request(memory.force, memory.hold, settings.mass, banks.requests)
 
 
