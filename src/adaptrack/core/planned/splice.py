@@ -158,14 +158,16 @@ def _direction(k, points):
 
 
 @inlined
-def extend(car, yaw, written, points):
+def extend(car, nodes, written, points):
     """Let a line begin behind the car, straight along its tangent there: the first row that counts.
 
-    yaw: rad, of a line of one point; written: rows of points so far.
+    nodes: of which a single one is followed by a point ahead of it; written: rows of points so far.
     """
     first = FRONT_ROOM
     x, y = points[first, 0], points[first, 1]
-    dx, dy = cos(yaw), sin(yaw)
+    dx, dy = nodes[1, NODE.x] - nodes[0, NODE.x], nodes[1, NODE.y] - nodes[0, NODE.y]
+    if dx != dx:  # the yaw is not known: that of the car
+        dx, dy = cos(car.yaw), sin(car.yaw)
     if written - first > 1:
         dx, dy = _direction(first, points)
     if written - first > 2:  # from the directions of two steps to that at the first point

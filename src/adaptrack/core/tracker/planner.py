@@ -50,16 +50,22 @@ where the columns of the speeds begin, `room` numbers each; where stops (m) and 
 @inlined
 def _most_points(count, kept):
     """Points of a line through so many given points, and so many of the line before."""
-    return splice.FRONT_ROOM + kept + count
+    return splice.FRONT_ROOM + kept + _most_nodes(count)
+
+
+@inlined
+def _most_nodes(count):
+    """Nodes of so many given points, and room in which they are made."""
+    return 2 * count + 2
 
 
 @exported(int64(int64, int64, float64))
 def trajectory_words(count, kept, length):
     """How many numbers of memory a trajectory of so many points and some length (m) needs; kept: points of the line
     that is followed."""
-    points = _most_points(count, kept)
+    points, room = _most_points(count, kept), _most_nodes(count) + 2
     line = words_of(points + points // 4 + 16, cells_of(length + 100.0)) + PATH_SCRATCH * points
-    return 3 * points + 5 * (count + 2) + 21 * count + line
+    return 3 * points + (len(NODE) + 2 + 5 + 14) * room + line
 
 
 @inlined
@@ -191,10 +197,11 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         return clock.SAME, OK, 0
     most = _most_points(len(given), len(planned.points))
     points, rest = shaped(memory[: 3 * most], most, 3), memory[3 * most :]
-    nodes, rest = shaped(rest[: 5 * len(given)], len(given), len(NODE)), rest[5 * len(given) :]
-    feet, rest = shaped(rest[: 2 * len(given)], len(given), 2), rest[2 * len(given) :]
-    places, rest = rest[: 4 * (len(given) + 2)], rest[4 * (len(given) + 2) :]
-    stops, rest = rest[: len(given) + 2], rest[len(given) + 2 :]
+    room = _most_nodes(len(given))
+    nodes, rest = shaped(rest[: len(NODE) * room], room, len(NODE)), rest[len(NODE) * room :]
+    feet, rest = shaped(rest[: 2 * room], room, 2), rest[2 * room :]
+    places, rest = rest[: 4 * (room + 2)], rest[4 * (room + 2) :]
+    stops, rest = rest[: room + 2], rest[room + 2 :]
     status, entry, count = condition(given, settings.tracked_arm, begins, nodes)
     if count == 0:
         return verdict, status, entry
@@ -211,7 +218,7 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         if arrival.role == PLANNER and arrival.is_urgent == 0:
             until = splice.kept_until(car, tolerance, feet, count, planned.points)
     written = splice.join(nodes, count, feet, until, car, pose.line(tracker), planned.points, points)
-    first = splice.extend(car, given[0, 3], written, points)
+    first = splice.extend(car, nodes, written, points)
     flaw, _ = path_through(points[first:written], False, 0.0, rest)
     if flaw != OK:
         return verdict, LINE_FLAW + flaw, 0
@@ -230,7 +237,7 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         if own.returned < RETURNED:
             own.stamp, own.arrival = arrival.stamp, arrival.time
             return clock.WAITING, OK, 0
-    speeds = _speeds_in(places, len(given) + 2)
+    speeds = _speeds_in(places, room + 2)
     places_written = _write_speeds(nodes, count, line, speeds)
     if arrival.role == FALLBACK:  # on time, wherever the car is
         station = nearest(car.x, car.y, car.yaw, ACROSS_PENALTY, math.nan, line)
@@ -244,7 +251,7 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
     parts[PARTS.stops] = _write_stops(places_written, speeds, stops)
     parts[PARTS.path_at] = memory.size - rest.size
     parts[PARTS.stops_at] = parts[PARTS.path_at] - stops.size
-    parts[PARTS.room] = len(given) + 2
+    parts[PARTS.room] = room + 2
     parts[PARTS.speeds_at] = parts[PARTS.stops_at] - 4 * parts[PARTS.room]
     return verdict, status, entry
 
