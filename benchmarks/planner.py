@@ -5,7 +5,7 @@
     python benchmarks/planner.py --tracker autoware-spatial | autoware-temporal     see examples/plugins
 
 Seed 5711 reports (roads, sensors and planners of all drives follow from it); seeds 5700 to 5710 were for choosing. The
-drives of a car and profile have a road each, 45 s at up to 15 m/s; `sheet` is the sedan of which the controller knows
+drives of a car and profile have a road each, in turn of a country, a town and mountains, at up to 15 m/s; `sheet` is the sedan of which the controller knows
 mass and wheelbase alone, and learns. RMS: root mean square of the offset from the line that was meant, from 3 s on,
 over that of the same drive along one fixed path with the same noise.
 """
@@ -36,6 +36,8 @@ from adaptrack.road.speed import constant_speed
 
 REPORTED_SEED = 5711
 SECONDS, TOP_SPEED, SETTLED = 45.0, 15.0, 3.0  # s, m/s, s
+KINDS, LENGTH = ("country", "town", "mountain"), 500.0
+"""Of generated roads; m."""
 COMFORT = Comfort(lateral=2.5, accelerate=1.5, brake=2.0)
 CARS = {"sedan": "midsize-sedan", "van": "van", "sheet": "midsize-sedan"}
 PROFILES = ("road", "production")
@@ -82,10 +84,10 @@ class Group(NamedTuple):
 
 
 @cache
-def country(seed: int, is_slow: bool = False) -> at.RoadDrive:
-    """A country road with its plan; is_slow: one that twice falls to `SLOWEST`."""
+def winding(seed: int, is_slow: bool = False) -> at.RoadDrive:
+    """A road with its plan; is_slow: one that twice falls to `SLOWEST`."""
     car = at.load_vehicle("midsize-sedan")
-    road = at.generate_road("country", seed=seed, length=SECONDS * TOP_SPEED)
+    road = at.generate_road(KINDS[seed % len(KINDS)], seed=seed, length=LENGTH)
     if is_slow:
         s = np.array([0.0, 149.0, 150.0, 151.0, 152.0, 299.0, 300.0, 301.0, 302.0, road.length])
         limit = np.full(s.size, TOP_SPEED)
@@ -350,10 +352,10 @@ def compare(driven: Driven, reference: Driven) -> dict[str, float]:
 def mismatch(
     planner: SimulatedPlanner, change: Callable[..., Arrival | None] | None = None, *, is_slow: bool = False
 ) -> Callable[[Group, int, str], dict[str, float]]:
-    """A case on country roads whose planner differs."""
+    """A case on winding roads whose planner differs."""
 
     def measure(group: Group, seed: int, tracker: str) -> dict[str, float]:
-        road_drive = country(seed, is_slow)
+        road_drive = winding(seed, is_slow)
         own = replace(planner, seed=seed)
         driven = drive(group, road_drive, own if change is None else Changed(own, change), seed, tracker)
         return compare(driven, fixed(group, road_drive, seed))
@@ -391,7 +393,7 @@ def condition_begins(driven: Driven) -> float:
 
 def behind(group: Group, seed: int, tracker: str) -> dict[str, float]:
     """A planner that is 2 s ahead at the start: lateness at the end, and the speed beyond the planned ones near it."""
-    road_drive = country(seed)
+    road_drive = winding(seed)
     planner = Changed(SimulatedPlanner(seed=seed), ahead_of_car)
     driven = drive(group, road_drive, planner, seed, tracker)
     s, v = driven.run.road["station"], driven.run.vx
@@ -404,7 +406,7 @@ def silence(seconds: float, has_fallback: bool) -> Callable[[Group, int, str], d
     """A planner that falls silent."""
 
     def measure(group: Group, seed: int, tracker: str) -> dict[str, float]:
-        road_drive = country(seed)
+        road_drive = winding(seed)
         planner = Changed(SimulatedPlanner(seed=seed), silent_for(seconds, has_fallback))
         driven = drive(group, road_drive, planner, seed, tracker)
         heard = drive(group, road_drive, SimulatedPlanner(seed=seed), seed, tracker)
@@ -423,7 +425,7 @@ def silence(seconds: float, has_fallback: bool) -> Callable[[Group, int, str], d
 
 def braked(group: Group, seed: int, tracker: str) -> dict[str, float]:
     """A planner that brakes at once: stopping way over that of the same request sent directly."""
-    road_drive, ways, lost = country(seed), [], False
+    road_drive, ways, lost = winding(seed), [], False
     for planner, kind in ((Changed(SimulatedPlanner(seed=seed), braking), WatchedController), (None, DirectBraking)):
         driven = drive(group, road_drive, planner, seed, tracker, kind=kind)
         s, after = driven.run.road["station"], driven.run.t >= EVENT
