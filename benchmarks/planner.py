@@ -45,6 +45,8 @@ EVENT = 20.0
 """s, at which a planner falls silent or brakes."""
 HARD_BRAKING, FALLBACK_BRAKING = 6.0, 2.5  # m/s^2
 PLANNERS_APART, BEHIND_CLOCK = 0.3, 2.0  # m, s
+HIGHER_LIMIT = 18.0
+"""m/s, up to which a car may catch up."""
 SLOWEST = 0.3
 """m/s, to which a hesitating planner slows down."""
 BEND_RADIUS, BEND_SPEED, WIND = 60.0, 10.0, 12.0  # m, m/s, m/s
@@ -315,10 +317,10 @@ class Driven(NamedTuple):
 
 def drive(
     group: Group, road_drive: at.RoadDrive, planner: Any, seed: int, tracker: str, *, with_drifts: bool = True,
-    kind: type[WatchedController] = WatchedController,
+    kind: type[WatchedController] = WatchedController, following: at.Following | None = None,
 ) -> Driven:  # fmt: skip
     """Simulate a drive; planner: None for one fixed path."""
-    controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath())
+    controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath(), following)
     controller.drive, controller.kind = road_drive, "fixed" if planner is None else tracker
     run = at.simulate(at.DualTrack(group.vehicle), controller, road_drive, profile=group.profile, seed=seed)
     return Driven(run, controller, road_drive)
@@ -391,15 +393,23 @@ def condition_begins(driven: Driven) -> float:
     return math.inf
 
 
-def behind(group: Group, seed: int, tracker: str) -> dict[str, float]:
-    """A planner that is 2 s ahead at the start: lateness at the end, and the speed beyond the planned ones near it."""
-    road_drive = winding(seed)
-    planner = Changed(SimulatedPlanner(seed=seed), ahead_of_car)
-    driven = drive(group, road_drive, planner, seed, tracker)
-    s, v = driven.run.road["station"], driven.run.vx
-    near = np.max([road_drive.plan.at(s + way) for way in np.linspace(-10.0, 10.0, 9)], axis=0)
-    row = compare(driven, fixed(group, road_drive, seed))
-    return row | {"late": row["late"] + BEHIND_CLOCK, "too fast": float(np.nanmax(v - near))}
+def behind(limit: float) -> Callable[[Group, int, str], dict[str, float]]:
+    """A planner that is 2 s ahead at the start: lateness at the end, and the speed beyond what may be driven.
+
+    limit: m/s, up to which a tracker may catch up; NaN: the largest planned speed near the place.
+    """
+
+    def measure(group: Group, seed: int, tracker: str) -> dict[str, float]:
+        road_drive, following = winding(seed), at.Following(speed_limit=limit)
+        planner = Changed(SimulatedPlanner(seed=seed), ahead_of_car)
+        driven = drive(group, road_drive, planner, seed, tracker, following=following)
+        s, v = driven.run.road["station"], driven.run.vx
+        near = np.max([road_drive.plan.at(s + way) for way in np.linspace(-10.0, 10.0, 9)], axis=0)
+        row = compare(driven, fixed(group, road_drive, seed))
+        beyond = float(np.nanmax(v - (near if math.isnan(limit) else limit)))
+        return row | {"late": row["late"] + BEHIND_CLOCK, "too fast": beyond}
+
+    return measure
 
 
 def silence(seconds: float, has_fallback: bool) -> Callable[[Group, int, str], dict[str, float]]:
@@ -454,7 +464,8 @@ CASES: dict[str, Callable[[Group, int, str], dict[str, float]]] = {
     "iii": mismatch(SimulatedPlanner(start="pose", delay=0.3, jitter=0.05)),
     "iv": mismatch(SimulatedPlanner(), in_turn),
     "v": mismatch(SimulatedPlanner(), is_slow=True),
-    "vi": behind,
+    "vi": behind(HIGHER_LIMIT),
+    "vi-default": behind(math.nan),
     "vii": mismatch(SimulatedPlanner(spacing=1.0, noise=0.05)),
     **{
         f"viii-{name}{'' if has_fallback else '-none'}": silence(seconds, has_fallback)

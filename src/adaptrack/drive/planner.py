@@ -175,8 +175,10 @@ class PlannedController(SampledController):
     tracker: Tracker
     """Tracker of the present drive."""
 
-    def __init__(self, controller: Controller, speed: SpeedControl, planner: SimulatedPlanner) -> None:
-        self.controller, self.speed, self.planner = controller, speed, planner
+    def __init__(
+        self, controller: Controller, speed: SpeedControl, planner: SimulatedPlanner, following: Following | None = None
+    ) -> None:
+        self.controller, self.speed, self.planner, self.following = controller, speed, planner, following
         self.name, self.period, self.limits = controller.name, controller.period, controller.limits
         self.vehicle, self.belief = controller.vehicle, None if controller.learner is not None else controller.belief
 
@@ -185,7 +187,7 @@ class PlannedController(SampledController):
 
     def make_tracker(self) -> Tracker:
         """Return a tracker at the start of a drive."""
-        return Tracker(self.controller, speed=self.speed, following=Following())
+        return Tracker(self.controller, speed=self.speed, following=self.following or Following())
 
     def begin(self, drive: Scenario | RoadDrive) -> None:
         """Begin a drive; raises `InvalidInput` if it has no road."""
@@ -196,7 +198,7 @@ class PlannedController(SampledController):
 
     def answer(self, sample: Array) -> PlannedAnswer:
         for trajectory, fallback in self._run.step(sample):
-            self.tracker.follow(trajectory, fallback, now=float(sample[TRACKER_SAMPLE.now]))
+            self.tracker.follow(trajectory, fallback=fallback, now=float(sample[TRACKER_SAMPLE.now]))
         signals = dict(zip(TRACKER_SAMPLE._fields, sample.tolist(), strict=True))
         tracked = self.tracked = self.tracker.step(**{name: signals[name] for name in _SIGNALS})
         return PlannedAnswer(tracked.command, tracked.longitudinal, {"late": getattr(tracked, "late", math.nan)})
