@@ -120,7 +120,7 @@ class PlannerFollower:
     def standing_plan(self) -> tuple[Road, FollowedPlan]:
         """A path of a metre and its plan, for a speed control before the first trajectory."""
         plan = FollowedPlan(np.array([0.0, 1.0]), np.full(2, 0.1), (), self.following.comfort)
-        return Road.from_segments([Line(1.0)]), plan
+        return Road.from_segments([Line(length=1.0)]), plan
 
     def fresh_fallback(self, now: float) -> PlannedTrajectory | None:
         """The fallback, unless there is none, or it is stale at a time (s)."""
