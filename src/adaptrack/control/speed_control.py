@@ -366,7 +366,7 @@ class SpeedController:
     """
 
     def __init__(
-        self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float, *, stop_at_end: bool = False,
+        self, control: SpeedControl, path: Road, plan: Any, period: float, *, stop_at_end: bool = False,
         patience: float = 0.0,
     ) -> None:  # fmt: skip
         self.control, self._period, self._stop_at_end, self._patience = control, period, stop_at_end, patience
@@ -394,12 +394,16 @@ class SpeedController:
         """Memory of the controller's learner; empty where nothing is learned."""
         return np.zeros(0) if self._controller is None else self._controller.learner_memory
 
-    def follow(self, path: Road, plan: SpeedPlan) -> None:
-        """Follow another plan from now on; what was learned of resistance, slope and friction stays."""
+    def follow(self, path: Road, plan: Any, stop_at_end: bool | None = None) -> None:
+        """Follow another plan from now on; what was learned of resistance, slope and friction stays.
+
+        plan: a `SpeedPlan`, or s, speed, stops and comfort; stop_at_end: None: as before.
+        """
         settings = self.control.settings(self._period, plan.comfort, self._patience)
+        stops = self._stop_at_end if stop_at_end is None else stop_at_end
         self._load(
             self.record._replace(
-                settings=settings, path=speed_path(path, plan, self._stop_at_end),
+                settings=settings, path=speed_path(path, plan, stops),
                 ahead=np.zeros(horizon_cells(float(plan.speed.max()), settings)),
             )
         )  # fmt: skip

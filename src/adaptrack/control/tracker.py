@@ -30,20 +30,24 @@ from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
+from adaptrack.control.following import DRIVERS, DrivenBy, FollowedPlan, Following, PlannerFollower, Verdict
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
 from adaptrack.core.controllers.part import APPLY, REQUEST, STEP
 from adaptrack.core.kernel import Resident, address_of, direct, fields_of
+from adaptrack.core.layout import empty
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
+from adaptrack.core.planned.records import FALLBACK, PLANNER, Planned
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
+from adaptrack.core.tracker.planner import begin_trajectory, watch_planner
 from adaptrack.core.tracker.signals import NO_BELIEF, STATUS, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking, tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow
-from adaptrack.road import Road, SpeedPlan, Stop
-from adaptrack.road.road_ahead import RoadAhead, stacked
+from adaptrack.road import PlannedTrajectory, Road, SpeedPlan, Stop
+from adaptrack.road.road_ahead import RoadAhead, pack_roads, stacked
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
@@ -98,6 +102,9 @@ class Tracked(NamedTuple):
     """requests of the speed control: acceleration, force, hold pressure; None without one"""
     first_top_speed: float = math.inf
     """m/s, below which to drive until the controller has learned its car; then, and without learning, infinite"""
+    late: float = math.nan
+    """s, behind the times of the planned trajectory, negative: early; NaN without one"""
+    driven_by: DrivenBy = DrivenBy.NOBODY
 
 
 class Timing(NamedTuple):
@@ -131,13 +138,16 @@ class Tracker:
         An MPC or any other, without a scheduler, of this tracker alone: another tracker takes a copy. A filter that
         takes late samples in (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One
         without a filter is given the v_y of a steady turn where none is measured.
-    path : Road
+    path : Road, optional
         From points, OpenDRIVE or segments. On one that crosses itself the car begins on the branch in its direction.
+        Without one the car stands until `follow` brings a path or a trajectory.
     plan : SpeedPlan, optional
         The speed that is planned along it; without one the present speed is expected to stay.
     speed : SpeedControl, optional
         Controls the speed along the plan: `Tracked.longitudinal` then requests acceleration and force. The status
         decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
+    following : Following, optional
+        How trajectories of a planner are followed.
     furthest : float
         From the path, beyond which the status says so.
     record : path, optional
@@ -156,10 +166,11 @@ class Tracker:
     def __init__(
         self,
         controller: Annotated[Controller, Hint("such as MPC(car)")],
-        path: Road,
+        path: Road | None = None,
         *,
         plan: SpeedPlan | None = None,
         speed: SpeedControl | None = None,
+        following: Following | None = None,
         furthest: Annotated[Bound, "m"] = 10.0,
         record: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -175,22 +186,31 @@ class Tracker:
         self.timing: Timing | None = None
         """of the loop; None before `TIMED_STEPS` control steps"""
         self._speed: SpeedController | None = None
-        if speed is not None and plan is None:
+        if speed is not None and plan is None and path is not None:
             raise InvalidInput("Tracker: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
-        self._set_path(path, plan)
-        if speed is not None and plan is not None:
+        if path is not None or plan is not None:
+            self._set_path(path, plan)
+        self._planner: PlannerFollower | None = None
+        if following is not None or path is None:
+            self._planner = PlannerFollower(following or Following(), controller)
+        if speed is not None:
+            way = (path, plan) if self._planner is None or plan is not None else self._planner.standing_plan()
             self._speed = SpeedController(
-                speed, path, plan, self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
+                speed, *way, self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
             )
             self._speed.estimate_friction(controller)
         self._check = input_check_of(controller)
-        self._load(tracker_of(controller, path, plan, furthest, self._check))
+        planned = None if self._planner is None else self._planner.planned
+        self._load(tracker_of(controller, path, plan, furthest, self._check, planned))
         self._recorder = None if record is None else Recorder(record)
         if self._recorder is not None:
             weakref.finalize(self, self._recorder.close)
         self.engage()
 
-    def _set_path(self, path: Road, plan: SpeedPlan | None) -> None:
+    path: Road | None = None
+    plan: SpeedPlan | FollowedPlan | None = None
+
+    def _set_path(self, path: Any, plan: SpeedPlan | None) -> None:
         if not isinstance(path, Road):
             raise InvalidInput(f"Tracker: path = {path!r}: must be a Road; fit_road(...) makes one.")
         if plan is not None and (not isinstance(plan, SpeedPlan) or abs(plan.s[-1] - path.length) > 1e-6):
@@ -279,17 +299,32 @@ class Tracker:
         self.close()
 
     @checked
-    def follow(self, path: Road, plan: SpeedPlan | None = None, near: Annotated[Finite, "m"] | None = None) -> None:
-        """Another path from now on, with its plan; what the controller has learned of the car stays.
+    def follow(
+        self,
+        path: Road | PlannedTrajectory,
+        plan: SpeedPlan | None = None,
+        near: Annotated[Finite, "m"] | None = None,
+        *,
+        fallback: PlannedTrajectory | None = None,
+        now: Annotated[Finite, "s"] | None = None,
+    ) -> Verdict | None:
+        """Another path from now on, with its plan, or a planner's trajectory; what is learned of the car stays.
 
-        The path had better begin behind the car, by the age of the oldest samples at least. near: as in `engage`.
+        A path had better begin behind the car, by the age of the oldest samples at least. near: as in `engage`.
+
+        A trajectory is joined to what is followed, wherever it begins, and followed by its times; return what became of
+        it. now: s, when it arrived, on the clock of `step`; by default the time of the last call. fallback: ends at
+        rest, and is followed when the planner falls silent; it stays until another comes. See docs/planner.md.
 
         Raises
         ------
         InvalidInput
-            When it is no path.
+            When it is no path, or the trajectory is impossible: the car goes on as before.
         """
+        if isinstance(path, PlannedTrajectory):
+            return self._follow_planner(path, fallback, now)
         self._set_path(path, plan)
+        self._leave_planner()
         if plan is None or self._target is None:
             self._target = None if plan is None else SpeedTarget(plan)
         else:
@@ -301,6 +336,59 @@ class Tracker:
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
         self._call(tracker_apply)
+
+    def _leave_planner(self) -> None:
+        """Follow no trajectory any more."""
+        if self._planner is not None:
+            self._planner = PlannerFollower(self._planner.following, self.controller)
+            self._load(self._kernel._replace(planned=self._planner.planned))
+
+    def _follow_planner(
+        self, trajectory: PlannedTrajectory, fallback: PlannedTrajectory | None, now: float | None
+    ) -> Verdict:
+        """Take a trajectory in, and keep its fallback."""
+        if self._planner is None:
+            self._planner = PlannerFollower(Following(), self.controller)
+            self._load(self._kernel._replace(planned=self._planner.planned))
+        if now is None:
+            now = float(self._kernel.memory[0].last)
+        if not math.isfinite(now):
+            raise InvalidInput("Tracker.follow: now: give the time (s) of arrival before the first call of step.")
+        if fallback is not None:
+            self._planner.check_fallback(fallback)
+        verdict = self._go_over_to(trajectory, now, PLANNER)
+        if fallback is not None and verdict in (Verdict.TAKEN, Verdict.SAME):
+            self._planner.fallback = fallback, now
+        if verdict in (Verdict.STALE, Verdict.EARLY, Verdict.OLDER):
+            self._warn_once(verdict, "a trajectory was refused, it is %s: its stamp is %.3f s, it arrived at %.3f s; "
+                            "see docs/planner.md.", verdict, trajectory.stamp, now)  # fmt: skip
+        return verdict
+
+    def _go_over_to(self, trajectory: PlannedTrajectory, now: float, role: int) -> Verdict:
+        """Take a trajectory in, as a planner's or as a fallback, and follow it unless the verdict is another."""
+        assert self._planner is not None
+        low = math.nan if self._speed is None else self._speed.command.friction_low
+        taken = self._planner.take(trajectory, now, role, low, self._resident)
+        if taken.road is not None:
+            self.path, self.plan, self._target = taken.road, taken.plan, None
+            if self._speed is not None:
+                self._speed.follow(taken.road, taken.plan, stop_at_end=False)
+            planned = {"plan": packed_plan(taken.plan), "planned": self._planner.planned}
+            self._load(self._kernel._replace(path=pack_roads([taken.road]), **planned))
+            begin_trajectory(taken.arrival, self._resident)
+            self._call(tracker_apply)
+        return taken.verdict
+
+    def _do_without_planner(self, now: float) -> None:
+        """Follow the fallback of a planner that has fallen silent; without one that fits, the car stops."""
+        assert self._planner is not None
+        silence, why = self._planner.following.silence, "it has left no fallback that is fresh enough"
+        if (fallback := self._planner.fresh_fallback(now)) is not None:
+            why = "its fallback does not begin at the car, or asks for more grip than is assumed"
+            if self._go_over_to(fallback, now, FALLBACK) is Verdict.TAKEN:
+                _log.warning("adaptrack: no trajectory for %.2g s: the car follows the fallback.", silence)
+                return
+        _log.warning("adaptrack: no trajectory for %.2g s: the car stops along the last one, %s.", silence, why)
 
     def release(self) -> None:
         """Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays.
@@ -367,6 +455,9 @@ class Tracker:
         at = row[TRACKER_SAMPLE.t if now is None else TRACKER_SAMPLE.now]
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
+        if self._planner is not None and watch_planner(at, self._resident):
+            self._do_without_planner(at)
+            kernel = self._kernel
         kernel.sample[:] = row
         self._call(tracker_step)
         memory = kernel.memory[0]
@@ -388,7 +479,9 @@ class Tracker:
 
     def _answer(self, time: float) -> Tracked:
         """Convert a kernel row to the result of a call."""
-        command, status, offset, heading_error, station, belief, bound, suspect, top = self._kernel.tracked.tolist()
+        (command, status, offset, heading_error, station, belief, bound, suspect, top, late, driven_by) = (
+            self._kernel.tracked.tolist()
+        )
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == NO_BELIEF else BeliefState(int(belief))
@@ -399,12 +492,17 @@ class Tracker:
                 DOUBTFUL[state], f" ({quantity.replace('_', ' ')})" if quantity else "",
             )  # fmt: skip
         speed, target = float(self._kernel.memory[0].speed), math.nan
-        if self._target is not None:
+        if driven_by > 0.0:
+            target = float(self._kernel.planned.memory[0].target_speed)
+        elif self._target is not None:
             target = self._target.at(time, station, speed, self.period)
         suspects = self._check.suspect
         kind = _STATUSES[int(status)]
         requests = None if self._speed is None else self._speed.command
-        return Tracked(command, kind, offset, heading_error, station, state, suspects, target, requests, top)
+        return Tracked(
+            command, kind, offset, heading_error, station, state, suspects, target, requests, top, late,
+            DRIVERS[int(driven_by)],
+        )  # fmt: skip
 
     def _do_requests(self, *_: Any) -> None:
         """Apply the requests of the kernels to a controller in Python."""
@@ -422,7 +520,8 @@ class Tracker:
         if self._speed is not None:
             self._speed.narrow_behind(self._resident)
         before = float(kernel.memory[0].command)
-        answered = called.step(before, kernel.measured.copy(), speed, np.zeros(1), **road)
+        reference = np.array([float(kernel.memory[0].aside)])
+        answered = called.step(before, kernel.measured.copy(), speed, reference, **road)
         called.write(answered, before, self._python.answer[0])
 
     def _road_ahead(self) -> RoadAhead:
@@ -495,8 +594,13 @@ def input_check_of(controller: Any) -> InputCheck:
     return InputCheck(controller.vehicle, float(controller.period), delay, controller.position_noise)
 
 
-def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
-    """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`)."""
+def tracker_of(
+    controller: Any, path: Road | None, plan: SpeedPlan | None, furthest: float, check: InputCheck, planned: Any = None
+) -> Any:
+    """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`).
+
+    planned: `core.planned.records.Planned`; None: no planner.
+    """
     car, limits, period = controller.vehicle, controller.limits, float(controller.period)
     low, high = (-math.inf, math.inf) if limits is None else limits.angle
     has_car = car is not None
@@ -514,10 +618,11 @@ def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: fl
         nominal_friction=Perception().nominal_friction,
         first_top_speed=math.inf if controller.learner is None else controller.learner.first_top_speed,
     )
-    return records.tracker(settings, stacked(path), packed_plan(plan), check.check)
+    planned = empty(Planned) if planned is None else planned
+    return records.tracker(settings, stacked(path), packed_plan(plan), check.check, planned)
 
 
-def packed_plan(plan: SpeedPlan | None) -> Any:
+def packed_plan(plan: SpeedPlan | FollowedPlan | None) -> Any:
     """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
     both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
     return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))

@@ -121,6 +121,9 @@ MISTAKE_TABLE = (
          "--units longitudinal_acceleration=g"),
         ("longitudinal_acceleration_with_gravity", "the longitudinal acceleration contains gravity on slopes",
          "give dv/dt, without gravity", "do not use it as dv/dt")),
+    *_mistakes("planner", "trajectories: they begin at the car, {0:.2g} m beside the line that earlier ones meant",
+        ("plan_begins_at_car", "the planner plans from the measured pose, which hides the controller's error",
+         "let it plan from the place that its last trajectory has for the present")),
 )  # fmt: skip
 MISTAKE_NAMED = {mistake.name: mistake for mistake in MISTAKE_TABLE}
 MISTAKES = columns(*MISTAKE_NAMED)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..kernel import Field, columns, record, rows, vector
+from ..kernel import Field, columns, matrix, record, rows, vector
 
 GIVEN = columns(
     Field("t", "s", 0.0, "when the car is to be there, after the stamp; never falls"),
@@ -35,9 +35,11 @@ PLANNED_SETTINGS = record("PlannedSettings", (
           "[0, 1]"),
     Field("speed_limit", "m/s", float("nan"), "that catching up never exceeds; unknown: the largest planned speed near "
           "the place", "(0, 100]"),
-    "tracked_arm",  # m, from the centre of mass forwards to the point that follows the path
-    "position_noise",  # m, standard deviation of a measured position
-    "period",  # s
+    Field("clock_offset", "s", float("nan"), "to add to the planner's stamps for the tracker's clock; unknown: 0 while "
+          "stamps are in time, else the least delay of arrivals", "(-inf, inf)"),
+    Field("tracked_arm", "m", 0.0, "from the centre of mass forwards to the point that follows the path"),
+    Field("position_noise", "m", 0.0, "standard deviation of a measured position"),
+    Field("period", "s", 0.05, "control period"),
 ))  # fmt: skip
 """How a planner is followed."""
 
@@ -55,14 +57,17 @@ PLANNED_MEMORY = record(
         "debt",  # s, of lateness that is no longer made up for: the times of the trajectory count so much later
         "is_leaving",  # 1: the time to leave the present place of rest has come
         # clock of the planner:
-        "clock_offset",  # s, to add to its stamps; NaN: no trajectory yet
+        "clock_offset",  # s, to add to its stamps, where it is found from arrivals; NaN: that of the settings
         "stamp",  # s, of the last trajectory that was taken, on its own clock
         "arrival",  # s, of it
         "other_stamps", "other_offset",  # -, s: stamps in a row that fit another clock, and its offset
         "shape",  # checksum of its points
         # replans:
         "returned",  # fresh trajectories in a row since the planner fell silent
-        "far_count",  # places in the ring below
+        # where the trajectory begins, see `meant_line`:
+        "meant_offset", "given_offset",  # m, of the car from the line that earlier trajectories meant, and from this one
+        "hidden",  # s, for which they have contradicted each other
+        "far_count",  # places in `far`
     ),
     integers=("driven_by", "is_leaving", "other_stamps", "returned", "far_count"),
 )  # fmt: skip
@@ -74,6 +79,7 @@ Planned = record(
         ("settings", rows(PLANNED_SETTINGS)),  # (1,); empty: there is no planner
         ("memory", rows(PLANNED_MEMORY)),  # likewise
         ("speeds", PlannedSpeeds),  # of the trajectory that is followed
+        ("points", matrix),  # (n, 3) x, y, and arc length (m) of the points through which its path was made
         ("far", vector),  # x, y (m) of places that earlier trajectories meant, one behind the other
     ),
 )

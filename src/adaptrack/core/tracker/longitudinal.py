@@ -259,12 +259,11 @@ def longitudinal_step(tracker, longitudinal):
     sample.periods = float(_count_periods(time, m, memory, longitudinal.settings.period))
     sample.top_speed = tracker.tracked[TRACKED.first_top_speed]
     _write_sample(tracker, m, blind_time, action, sample, memory)
-    centreline = line(tracker)
     if memory.is_changed > 0 and m.started > 0:
-        _change_places(m.station, centreline, memory)
+        _change_places(m.station, line(tracker), memory)
     speed_control_step(longitudinal)
     if memory.is_placed > 0 and m.started > 0:
-        _note_places(centreline, memory)
+        _note_places(line(tracker), memory)
     _report(tracker.check, memory)
 
 

@@ -107,7 +107,7 @@ def begin_anew(tracker, m, angle):
     m.x = m.y = m.yaw = math.nan
     m.placed_x = m.placed_y = m.placed_yaw = math.nan
     m.placed_t = -math.inf
-    m.station = m.heading = m.turned = 0.0
+    m.station = m.heading = m.turned = m.aside = 0.0
     m.belief_state, m.belief_at_bound = NO_BELIEF, NO_BELIEF
     m.offset = m.heading_error = math.nan
 

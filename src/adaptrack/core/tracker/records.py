@@ -12,6 +12,7 @@ from ..controllers.part import REQUEST as REQUEST
 from ..input_check.record import Check
 from ..kernel import fields_of, record, rows, vector
 from ..models.contract import MEASUREMENT, PERIOD_FIELD
+from ..planned.records import Planned
 from ..roads.road import Roads
 from ..scheduling.functions import VARIABLE_COLUMNS
 from .signals import TRACKED, TRACKER_SAMPLE, TrackerSample
@@ -77,6 +78,7 @@ MEMORY = record(
         "near",  # m, about which a foot is looked for at the beginning; NaN: on the whole path
         ("sample", TrackerSample),  # the sample at hand as it is used
         "delay_sigma",  # s, standard deviation of the learned delay of the steering; 0 where nothing is learned
+        "aside",  # m, of the reference to the left of the path: it decays
         "ended_top_speed",  # m/s, first top speed that ended when the delay of the steering was learned; 0: none
     ),
     integers=(
@@ -102,15 +104,16 @@ TrackerRecord = record(
         ("tracked", vector),  # (TRACKED,)
         ("variables", vector),  # (variables.VARIABLES,) of a schedule
         ("check", Check),  # of the inputs
+        ("planned", Planned),  # empty without a planner
     ),
 )
 """A tracker around any controller."""
 
 
-def tracker(settings: Any, path: Any, plan: Any, check: Any) -> Any:
-    """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `PlanRecord`, a `Check`."""
+def tracker(settings: Any, path: Any, plan: Any, check: Any, planned: Any) -> Any:
+    """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `PlanRecord`, `Check`, `Planned`."""
     sizes = len(MEASUREMENT), EXPECTED_SPEEDS, len(REQUEST), len(TRACKED), len(VARIABLE_COLUMNS)
     return TrackerRecord(
         settings, MEMORY.new(near=np.nan), np.full(len(TRACKER_SAMPLE), np.nan), path,
-        plan, *(np.zeros(size) for size in sizes), check,
+        plan, *(np.zeros(size) for size in sizes), check, planned,
     )  # fmt: skip

@@ -90,5 +90,7 @@ TRACKED = columns(
     Field("suspect", "", 0, "sum of 1, 2, 4, ...: inputs that contradict each other, since the tracker engaged"),
     Field("first_top_speed", "m/s", math.nan, "below which to drive until the controller has learned its car; then, "
           "and without learning, infinite"),
+    Field("late", "s", math.nan, "behind the times of the planned trajectory, negative: early; NaN without one"),
+    Field("driven_by", "", 0, "0 nobody or a path without times, 1 planner, 2 its fallback, 3 nobody: the car stops"),
 )  # fmt: skip
 """What a call gives."""

@@ -17,6 +17,7 @@ from ..kernel import Caller, Place, exported, inlined, int64, local, record, vec
 from ..loop import period_of
 from ..maths.exact import clip
 from ..models.contract import MEASUREMENT
+from ..planned.timing import keep_time
 from ..roads.road import CLOSED, foot_near, point_at
 from ..scheduling.functions import VARIABLE_COLUMNS
 from ..speed.plan import planned_speeds
@@ -27,6 +28,8 @@ from .take_call import tracker_take
 
 LATEST_POSE, LATEST_MOTION = 0.499, 0.999
 """Periods, by which a pose and a motion may be older than the last instant that a filter goes through anew."""
+ASIDE_TIME = 1.0
+"""s, in which the reference comes to the path from beside it."""
 CARRIED = 0.25
 """Periods, by which what moves the car may be carried: by then it is another."""
 
@@ -43,7 +46,7 @@ Tracking = record(
 """A tracker with its controller, and with a speed control where it has one."""
 _narrow_friction = Caller(void(Place(TrackerRecord), vector, Place(Longitudinal)))
 _control_speed = Caller(void(Place(TrackerRecord), Place(Longitudinal)))
-_reference, _aligned, _beliefs_at = local(1), local(len(SAMPLE)), viewer(Beliefs)
+_one, _aligned, _beliefs_at = local(1), local(len(SAMPLE)), viewer(Beliefs)
 
 
 # -- arrive -----------------------------------------------------------------------------------------------------------
@@ -94,6 +97,7 @@ def _advance(tracker, m, sampled):
     settings, centreline = tracker.settings[0], pose.line(tracker)
     period, speed = settings.period, pose.forward(m)
     m.instant += 1
+    m.aside -= m.aside * min(period / ASIDE_TIME, 1.0)
     if sampled and math.isfinite(m.sample.yaw_rate):
         m.yaw_rate = m.sample.yaw_rate
     else:
@@ -236,10 +240,11 @@ def _write_variables(tracker):
 @inlined
 def _control(slot, tracking):
     """The controller's step."""
-    tracker, m = tracking.tracker, tracking.tracker.memory[0]
+    tracker, m, reference = tracking.tracker, tracking.tracker.memory[0], _one()
+    reference[0] = m.aside
     _write_variables(tracker)
     control(
-        slot, tracker.variables, pose.forward(m), m.command, m.station, 0, tracker.measured, _reference(),
+        slot, tracker.variables, pose.forward(m), m.command, m.station, 0, tracker.measured, reference,
         tracker.speeds[: _expect_speeds(tracker, m)], tracker.path, tracking.controller,
     )  # fmt: skip
 
@@ -282,6 +287,18 @@ def _status(tracker, m, is_held):
     return signals.FOLLOWING if m.fresh > 0 else signals.ESTIMATED
 
 
+@inlined
+def _keep_time(tracker):
+    """Where the car is to be by the time, and how fast; nothing without a planner."""
+    planned, m, tracked = tracker.planned, tracker.memory[0], tracker.tracked
+    if planned.memory.size == 0:
+        tracked[signals.TRACKED.late] = math.nan
+        return
+    station = tracked[signals.TRACKED.station] if m.started > 0 else math.nan
+    keep_time(pose.time_of(m, tracker.settings[0].period), station, pose.forward(m), planned)
+    tracked[signals.TRACKED.late], tracked[signals.TRACKED.driven_by] = planned.memory[0].late, planned.memory[0].driven_by
+
+
 # -- whole calls ------------------------------------------------------------------------------------------------------
 _drive_period = period_of(_arrive, _prepare, _control, _depart)
 
@@ -296,6 +313,7 @@ def tracker_step(tracking):
     while _drive_period(0, tracking):
         pass
     _apply_requests(0, tracking)
+    _keep_time(tracking.tracker)
     if tracking.control_speed != 0:
         _control_speed(tracking.control_speed, tracking.tracker, tracking.longitudinal)
 

@@ -12,6 +12,7 @@ from ..kernel import Place, copier, exported, float64, inlined, int64, local, vo
 from ..maths.bits import whole
 from ..maths.exact import floor
 from ..maths.exponential import hypot
+from ..planned.clock import forget_planner
 from . import pose, records, signals
 from .records import LONGEST_GAP, REQUEST, STANDSTILL_SPEED, TrackerRecord
 from .signals import TRACKER_SAMPLE
@@ -34,6 +35,8 @@ def tracker_engage(angle, near, tracker):
     m.answered, m.rejection = 0, 0
     tracker.request[REQUEST.late], tracker.tracked[signals.TRACKED.suspect] = math.nan, 0.0
     begin_check(tracker.check)
+    if tracker.planned.memory.size > 0:
+        forget_planner(tracker.planned.memory[0])
     pose.write_tracked(tracker, m)
     return 1
 
