@@ -500,8 +500,8 @@ class Tracker:
         kind = _STATUSES[int(status)]
         requests = None if self._speed is None else self._speed.command
         return Tracked(
-            command, kind, offset, heading_error, station, state, suspects, target, requests, top, late,
-            DRIVERS[int(driven_by)],
+            command, kind, offset, heading_error, station, state, suspects, target, requests, top,
+            late if math.isfinite(late) else math.nan, DRIVERS[int(driven_by)],
         )  # fmt: skip
 
     def _do_requests(self, *_: Any) -> None:

@@ -5,7 +5,7 @@
 2. The trajectory ends where the car first drives backwards: at a negative speed, a cusp of the line, or motion against
    the yaw.
 3. Places move from the tracked point to the centre of mass, along the yaw or else the tangent of the circle through
-   three places. Speeds v become v sqrt(1 + (arm curvature)^2).
+   three places. The speed v of a point that moves along the yaw becomes v sqrt(1 + (arm curvature)^2).
 4. A speed that is not given is that of the parabola s(t) through a place and those `SPAN` before and after it. It is
    exact for constant accelerations. At most twice the mean speed on either side, it never oscillates.
 
@@ -20,7 +20,6 @@ import math
 from ..kernel import OK, columns, exported, float64, inlined, int64, matrix, record, several
 from ..maths.bits import whole
 from ..maths.exact import clip, sqrt, square
-from ..maths.exponential import hypot
 from ..maths.trigonometric import cos, sin
 from ..roads.path import MAX_COORDINATE
 from ..speed.path import MAX_PLAN_SPEED
@@ -39,12 +38,14 @@ TANGENT_BASE, YAW_BASE = 0.5, 2.0
 MAX_YAW_ERROR, AXLE_REACH = math.tan(math.radians(15.0)), 3.0
 """Tangent of the largest angle between yaw and tangent, in addition to the one of an axle that lies so far (m) behind
 the tracked point and moves along the yaw."""
+MIN_SLIP_COSINE = 0.8
+"""Least cosine of the angle between the yaw and the motion of the tracked point; a larger angle is due to noise."""
 MAX_JUMP, JUMP_ACCELERATION = 0.5, 15.0
 """m, m/s^2: a step is longer by at most so much than the faster of the steps around it explains."""
 SPAN = 0.3
-"""s, over which speeds are estimated and compared."""
-SPEED_SHARE, SPEED_TOLERANCE = 0.15, 0.5
-"""-, m/s: largest difference between given speeds and those by the places."""
+"""s, over which speeds are estimated."""
+SPEED_SPAN, SPEED_SHARE, SPEED_TOLERANCE = 1.0, 0.15, 0.5
+"""s, -, m/s: over which given speeds are compared with the places, and their largest difference."""
 
 _WORK = columns("entry", "x", "y", "cos", "sin")  # the point that is a node's place, of the tracked point, and heading
 _Draft = record("Draft", (("points", matrix), ("nodes", matrix), ("work", matrix)))
@@ -73,9 +74,15 @@ def _faulty_entry(points):
 
 
 @inlined
+def _length(x, y):
+    """The length of a vector of moderate size."""
+    return sqrt(x * x + y * y)
+
+
+@inlined
 def _gap(points, first, last):
     """m, between the places of two entries."""
-    return hypot(points[last, GIVEN.x] - points[first, GIVEN.x], points[last, GIVEN.y] - points[first, GIVEN.y])
+    return _length(points[last, GIVEN.x] - points[first, GIVEN.x], points[last, GIVEN.y] - points[first, GIVEN.y])
 
 
 @inlined
@@ -86,7 +93,7 @@ def _wrong_speed(points, last):
         time = points[k, GIVEN.t] - points[first, GIVEN.t]
         mean = 0.5 * (points[k - 1, GIVEN.speed] + points[k, GIVEN.speed])
         way += mean * (points[k, GIVEN.t] - points[k - 1, GIVEN.t])
-        if time >= SPAN:
+        if time >= SPEED_SPAN:
             by_places = _gap(points, first, k) / time
             if abs(way / time - by_places) > SPEED_SHARE * max(by_places, way / time) + SPEED_TOLERANCE:
                 return first
@@ -136,7 +143,7 @@ def _time(nodes, k):
 def _chord(work, first, last):
     """m, m, m: from a node to another one, and the length, of the tracked point."""
     x, y = work[last, _WORK.x] - work[first, _WORK.x], work[last, _WORK.y] - work[first, _WORK.y]
-    return x, y, hypot(x, y)
+    return x, y, _length(x, y)
 
 
 @inlined
@@ -247,7 +254,7 @@ def _tangent(work, k, count):
     x, y = _mirrored(work, k, after)
     before_x, before_y = _mirrored(work, k, before)
     x, y = x - before_x, y - before_y
-    size = hypot(x, y)
+    size = max(_length(x, y), 1e-300)
     return x / size, y / size
 
 
@@ -278,7 +285,7 @@ def _turning(work, first, last):
     """1/m, curvature of the arc between two nodes by their headings, over the way of the tracked point."""
     _, _, length = _chord(work, first, last)
     before, after = work[first], work[last]
-    turn = hypot(after[_WORK.cos] - before[_WORK.cos], after[_WORK.sin] - before[_WORK.sin])
+    turn = _length(after[_WORK.cos] - before[_WORK.cos], after[_WORK.sin] - before[_WORK.sin])
     left = before[_WORK.cos] * after[_WORK.sin] - before[_WORK.sin] * after[_WORK.cos]
     return math.copysign(turn, left) / length if last > first else 0.0
 
@@ -304,22 +311,15 @@ def _check_yaw(draft, count):
 
 # -- speeds -----------------------------------------------------------------------------------------------------------
 @inlined
-def _way(draft, k):
-    """m, along the arc from a node to the next one, of the centre of mass."""
-    node, after, near, beyond = draft.nodes[k], draft.nodes[k + 1], draft.work[k], draft.work[k + 1]
-    cosine = near[_WORK.cos] * beyond[_WORK.cos] + near[_WORK.sin] * beyond[_WORK.sin]
-    return hypot(after[NODE.x] - node[NODE.x], after[NODE.y] - node[NODE.y]) * (1.0 + (1.0 - cosine) / 12.0)
-
-
-@inlined
 def _span(draft, k, step, count):
-    """From a node in steps of 1 or -1 to one that is `SPAN` away, at rest or the end: s, m, and its number."""
-    time, way, j = 0.0, 0.0, k
+    """From a node in steps of 1 or -1 to one that is `SPAN` away, at rest or the end: s, m of the arc, its number."""
+    work, time, j = draft.work, 0.0, k
     while 0 <= j + step < count and time < SPAN and (j == k or not _is_rest(draft.nodes, j)):
         time += _time(draft.nodes, min(j, j + step))
-        way += _way(draft, min(j, j + step))
         j += step
-    return time, way, j
+    _, _, length = _chord(work, k, j)
+    cosine = work[k, _WORK.cos] * work[j, _WORK.cos] + work[k, _WORK.sin] * work[j, _WORK.sin]
+    return time, length * (1.0 + (1.0 - cosine) / 12.0), j
 
 
 @inlined
@@ -343,47 +343,49 @@ def _speed_by_places(draft, k, count):
 
 @inlined
 def _write_speeds(draft, arm, count):
-    """Write the speeds of the nodes: as given, or by their places."""
+    """Write the speeds of the nodes, as given or by their places, of the centre of mass."""
     points, nodes, work = draft.points, draft.nodes, draft.work
     has_speed, has_curvature = _is_given(points, GIVEN.speed), _is_given(points, GIVEN.curvature)
     for k in range(count):
-        speed, entry = _speed_by_places(draft, k, count), whole(work[k, _WORK.entry])
-        if has_speed and math.isfinite(points[entry, GIVEN.speed]) and not _is_rest(nodes, k):
+        entry = whole(work[k, _WORK.entry])
+        tangent_cos, tangent_sin = _tangent(work, k, count)
+        slip_cos = work[k, _WORK.cos] * tangent_cos + work[k, _WORK.sin] * tangent_sin
+        slip_sin = work[k, _WORK.cos] * tangent_sin - work[k, _WORK.sin] * tangent_cos
+        if slip_cos < MIN_SLIP_COSINE:
+            slip_cos, slip_sin = 1.0, 0.0
+        before, after = _neighbours(work, k, count)
+        curvature = _turning(work, k if before < 0 else before, max(k, after))
+        if has_curvature and math.isfinite(points[entry, GIVEN.curvature]):
             curvature = points[entry, GIVEN.curvature]
-            if not (has_curvature and math.isfinite(curvature)):
-                before, after = _neighbours(work, k, count)
-                curvature = _turning(work, k if before < 0 else before, max(k, after))
-            given_speed = max(points[entry, GIVEN.speed], 0.0) * sqrt(1.0 + square(arm * curvature))
-            if k == 0 or k == count - 1 or given_speed >= 0.5 * speed:
-                speed = given_speed
-        nodes[k, NODE.speed] = speed
+        speed, given_speed = _speed_by_places(draft, k, count), points[entry, GIVEN.speed] / slip_cos
+        if has_speed and math.isfinite(given_speed) and (k == count - 1 or given_speed >= 0.5 * speed):
+            speed = max(given_speed, 0.0)
+        nodes[k, NODE.speed] = 0.0 if _is_rest(nodes, k) else speed * _length(slip_cos, slip_sin - arm * curvature)
 
 
 @inlined
-def _is_too_slow(draft, k):
-    """Whether the speeds of a node and the next take more than twice the time between them, as from rest to rest."""
-    return (draft.nodes[k, NODE.speed] + draft.nodes[k + 1, NODE.speed]) * _time(draft.nodes, k) < _way(draft, k)
+def _is_stuck(nodes, k):
+    """Whether a node and the next both have the speed 0."""
+    return nodes[k, NODE.speed] + nodes[k + 1, NODE.speed] <= 0.0
 
 
 @inlined
 def _add_nodes(draft, count):
-    """Add a node, faster, between two that are too slow for their times; how many nodes there are then."""
+    """Add a node in the middle between two of speed 0; how many nodes there are then."""
     nodes, added = draft.nodes, 0
     for k in range(count - 1):
-        added += 1 if _is_too_slow(draft, k) else 0
+        added += 1 if _is_stuck(nodes, k) else 0
     total = count + added
     for k in range(count - 2, -1, -1):
-        is_slow, time, way = _is_too_slow(draft, k), _time(nodes, k), _way(draft, k)
+        is_stuck, time, (_, _, way) = _is_stuck(nodes, k), _time(nodes, k), _chord(draft.work, k, k + 1)
         for j in range(len(NODE)):
             nodes[k + 1 + added, j] = nodes[k + 1, j]
-        if is_slow:
-            node, new, after = nodes[k], nodes[k + added], nodes[k + 1 + added]
-            speed = 2.0 * way / time - 0.5 * (node[NODE.speed] + after[NODE.speed])
-            share = 0.25 * (node[NODE.speed] + speed) * time / way
-            new[NODE.x] = node[NODE.x] + share * (after[NODE.x] - node[NODE.x])
-            new[NODE.y] = node[NODE.y] + share * (after[NODE.y] - node[NODE.y])
-            new[NODE.arrive] = new[NODE.leave] = node[NODE.leave] + 0.5 * time
-            new[NODE.speed] = speed
+            if is_stuck:
+                nodes[k + added, j] = 0.5 * (nodes[k, j] + nodes[k + 1, j])
+        if is_stuck:
+            nodes[k + added, NODE.arrive] = nodes[k, NODE.leave] + 0.5 * time
+            nodes[k + added, NODE.leave] = nodes[k + added, NODE.arrive]
+            nodes[k + added, NODE.speed] = 2.0 * way / time
             added -= 1
     return total
 

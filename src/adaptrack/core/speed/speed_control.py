@@ -224,8 +224,8 @@ LEAST_TARGET = 0.3
 """m/s, least speed to reach where no stop is ahead, so that a car leaves a place with a planned speed of 0."""
 PASSED_CELLS = 2
 """Cells behind the car in which the deceleration of a trajectory still counts, so that it holds up to a stop."""
-LEAD_DISTANCE = 2.0
-"""m, over which the acceleration of the plan is taken."""
+LEAD_DISTANCE, LEAD_TIME = 2.0, 0.2
+"""m, s: way over which the acceleration of the plan is taken; on a trajectory no more than in this time."""
 BRAKE_CAUTION, KNOWN_DELAY = 2.0, 0.05
 """-, s: a stop begins earlier by the way in the caution times the standard deviation of the delay of the brakes beyond
 that of known ones, chosen on 16 cars."""
@@ -308,14 +308,24 @@ def _planned_braking(k, settings, path):
 
 
 @inlined
-def _stop_braking(way, sample, settings, path, memory):
-    """Deceleration (m/s^2) on the way (m) to a stop: of comfort, or the largest that a trajectory needs to stop there.
+def _present_braking(settings, path, memory):
+    """Largest deceleration (m/s^2) of a trajectory where the car is and just behind, see `_planned_braking`."""
+    k = whole(floor(memory.station / path.spacing))
+    return max(_planned_braking(k, settings, path), _planned_braking(k - PASSED_CELLS, settings, path))
 
-    Without a stop, and where the plan has no times, that of comfort. At most `emergency`.
+
+@inlined
+def _stop_braking(index, way, sample, settings, path, memory):
+    """Deceleration (m/s^2) on the way (m) to a stop: of comfort, or the largest with which a trajectory stops there.
+
+    Without times, and at the end of a path that the trajectory reaches with a speed, that of comfort; never more than
+    `emergency`.
     """
     needed, stop = 0.0, memory.station + way
-    if sample.is_timed > 0.0 and stop < math.inf:
-        for k in range(whole(floor(memory.station / path.spacing)) - PASSED_CELLS, whole(floor(stop / path.spacing))):
+    is_passed = path.square[path.square.size - 1] > 0.0
+    if sample.is_timed > 0.0 and index != stops.NO_STOP and not (is_passed and stops.is_path_end(index, path)):
+        stop_cell = whole(floor(stop / path.spacing))
+        for k in range(min(whole(floor(memory.station / path.spacing)), stop_cell) - PASSED_CELLS, stop_cell):
             distance = stop - k * path.spacing
             needed = max(needed, 0.5 * path.square[cell_at((k + 0.5) * path.spacing, path)] / distance)
     return max(min(needed, settings.emergency), settings.brake)
@@ -632,8 +642,11 @@ def _aim(sample, index, way, stop_braking, top_square, resistance, period, setti
     lead = place + true_ratio * coming_speed * lag
     target_square = _square_at(place, station, path, ahead)
     target = max(sqrt(max(target_square, 0.0)), LEAST_TARGET)
-    change = _square_at(lead + LEAD_DISTANCE, station, path, ahead) - _square_at(lead, station, path, ahead)
-    acceleration, cause = 0.5 * change / LEAD_DISTANCE, BY_GRIP
+    distance = LEAD_DISTANCE
+    if sample.is_timed > 0.0:
+        distance = clip(LEAD_TIME * coming_speed, path.spacing, LEAD_DISTANCE)
+    change = _square_at(lead + distance, station, path, ahead) - _square_at(lead, station, path, ahead)
+    acceleration, cause = 0.5 * change / distance, BY_GRIP
     if target_square >= _planned_square(cell_at(place, path), sample, path) * 0.999:
         cause = BY_PLAN
     elif target_square >= top_square * 0.999:
@@ -667,7 +680,7 @@ def _follow(sample, index, way, top_square, period, settings, path, memory, bank
     if is_at_start and _start(way, period, settings, memory):
         memory.speed_state, memory.limited_by = DRIVING, BY_PLAN
         return
-    stop_braking = _stop_braking(way, sample, settings, path, memory)
+    stop_braking = _stop_braking(index, way, sample, settings, path, memory)
     acceleration, target, coming_speed, remaining_way, cause = _aim(
         sample, index, way, stop_braking, top_square, resistance, period, settings, path, memory, banks, ahead
     )
@@ -692,8 +705,9 @@ def _follow(sample, index, way, top_square, period, settings, path, memory, bank
     demand = acceleration + settings.gain * (target - coming_speed)
     strongest = COMFORT_RESERVE * settings.brake
     if sample.is_timed > 0.0:
-        planned_braking = stop_braking if cause in (BY_STOP, BY_PATH_END) else -acceleration
-        strongest = max(strongest, min(COMFORT_RESERVE * planned_braking, settings.emergency))
+        braking = _present_braking(settings, path, memory)
+        braking = max(braking, stop_braking if cause in (BY_STOP, BY_PATH_END) else -acceleration)
+        strongest = max(strongest, min(COMFORT_RESERVE * braking, settings.emergency))
     bounded = clip(demand, -strongest, COMFORT_RESERVE * settings.accelerate)
     if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT

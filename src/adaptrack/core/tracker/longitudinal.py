@@ -14,6 +14,7 @@ from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
 from ..models.contract import MEASUREMENT
+from ..planned.records import FALLBACK, PLANNER, STOP
 from ..roads.road import foot_near, point_at
 from ..speed import speed_control as control
 from ..speed.friction import FrictionEstimate, begin_friction, narrow_friction
@@ -165,6 +166,23 @@ def _write_sample(tracker, m, blind_time, action, sample, memory):
 
 
 @inlined
+def _keep_planned_time(planned, sample, memory):
+    """Let the speed control keep the times of a planner's trajectory, and leave a place of rest by the time.
+
+    A car that has neither a planner nor a fallback stops.
+    """
+    if planned.memory.size == 0:
+        return
+    own = planned.memory[0]
+    sample.is_timed, sample.correction, sample.correction_limit = 0.0, 0.0, own.top_speed
+    if own.driven_by == PLANNER or own.driven_by == FALLBACK:
+        sample.is_timed, sample.correction = 1.0, own.correction
+        memory.is_released = max(memory.is_released, own.is_leaving)
+    elif own.driven_by == STOP:
+        sample.is_guided = 0.0
+
+
+@inlined
 def write_requests(longitudinal, row, first):
     """Write SPEED_REQUEST to a row from a place on."""
     _write_memory(row, first, longitudinal.memory[0])
@@ -259,6 +277,7 @@ def longitudinal_step(tracker, longitudinal):
     sample.periods = float(_count_periods(time, m, memory, longitudinal.settings.period))
     sample.top_speed = tracker.tracked[TRACKED.first_top_speed]
     _write_sample(tracker, m, blind_time, action, sample, memory)
+    _keep_planned_time(tracker.planned, sample, memory)
     if memory.is_changed > 0 and m.started > 0:
         _change_places(m.station, line(tracker), memory)
     speed_control_step(longitudinal)

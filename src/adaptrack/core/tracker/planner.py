@@ -149,7 +149,7 @@ def _shape_of(given):
     shape = 0.0
     for j in range(len(given)):
         for i in range(4):
-            shape = 0.61803 * shape + given[j, i] if given[j, i] == given[j, i] else shape
+            shape = given[j, i] - 0.9999 * shape if given[j, i] == given[j, i] else shape
     return shape
 
 
