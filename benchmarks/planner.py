@@ -26,6 +26,7 @@ import numpy as np
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
+from adaptrack.control.following import Following
 from adaptrack.control.kalman import Drifts
 from adaptrack.core.planned.records import GIVEN
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
@@ -317,7 +318,7 @@ class Driven(NamedTuple):
 
 def drive(
     group: Group, road_drive: at.RoadDrive, planner: Any, seed: int, tracker: str, *, with_drifts: bool = True,
-    kind: type[WatchedController] = WatchedController, following: at.Following | None = None,
+    kind: type[WatchedController] = WatchedController, following: Following | None = None,
 ) -> Driven:  # fmt: skip
     """Simulate a drive; planner: None for one fixed path."""
     controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath(), following)
@@ -393,20 +394,20 @@ def condition_begins(driven: Driven) -> float:
     return math.inf
 
 
-def behind(limit: float) -> Callable[[Group, int, str], dict[str, float]]:
+def behind(limit: float | None) -> Callable[[Group, int, str], dict[str, float]]:
     """A planner that is 2 s ahead at the start: lateness at the end, and the speed beyond what may be driven.
 
-    limit: m/s, up to which a tracker may catch up; NaN: the largest planned speed near the place.
+    limit: m/s, up to which a tracker may catch up; None: the largest planned speed near the place.
     """
 
     def measure(group: Group, seed: int, tracker: str) -> dict[str, float]:
-        road_drive, following = winding(seed), at.Following(speed_limit=limit)
+        road_drive, following = winding(seed), Following(speed_limit=limit)
         planner = Changed(SimulatedPlanner(seed=seed), ahead_of_car)
         driven = drive(group, road_drive, planner, seed, tracker, following=following)
         s, v = driven.run.road["station"], driven.run.vx
         near = np.max([road_drive.plan.at(s + way) for way in np.linspace(-10.0, 10.0, 9)], axis=0)
         row = compare(driven, fixed(group, road_drive, seed))
-        beyond = float(np.nanmax(v - (near if math.isnan(limit) else limit)))
+        beyond = float(np.nanmax(v - (near if limit is None else limit)))
         return row | {"late": row["late"] + BEHIND_CLOCK, "too fast": beyond}
 
     return measure
@@ -465,7 +466,7 @@ CASES: dict[str, Callable[[Group, int, str], dict[str, float]]] = {
     "iv": mismatch(SimulatedPlanner(), in_turn),
     "v": mismatch(SimulatedPlanner(), is_slow=True),
     "vi": behind(HIGHER_LIMIT),
-    "vi-default": behind(math.nan),
+    "vi-default": behind(None),
     "vii": mismatch(SimulatedPlanner(spacing=1.0, noise=0.05)),
     **{
         f"viii-{name}{'' if has_fallback else '-none'}": silence(seconds, has_fallback)
