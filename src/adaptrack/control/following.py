@@ -147,7 +147,10 @@ class PlannerFollower:
         if not math.isfinite(length):
             length = 0.0
         memory = np.empty(kernel.trajectory_words(len(given), kept, length))
-        parts, arrival = np.empty(len(kernel.PARTS), np.int64), kernel.Arrival(trajectory.stamp, now, role, int(trajectory.urgent))
+        parts, arrival = (
+            np.empty(len(kernel.PARTS), np.int64),
+            kernel.Arrival(trajectory.stamp, now, role, int(trajectory.urgent)),
+        )
         verdict, status, entry = kernel.take_trajectory(given, arrival, friction, tracker, memory, parts)
         if status not in (OK, condition.REVERSE_AHEAD):
             raise InvalidInput(f"Tracker.follow: {sentence_of(status, entry, trajectory)}")

@@ -194,9 +194,9 @@ class Tracker:
         if following is not None or path is None:
             self._planner = PlannerFollower(following or Following(), controller)
         if speed is not None:
-            way = (path, plan) if self._planner is None or plan is not None else self._planner.standing_plan()
+            way: Any = (path, plan) if self._planner is None or plan is not None else self._planner.standing_plan()
             self._speed = SpeedController(
-                speed, *way, self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
+                speed, way[0], way[1], self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
             )
             self._speed.estimate_friction(controller)
         self._check = input_check_of(controller)
@@ -207,8 +207,10 @@ class Tracker:
             weakref.finalize(self, self._recorder.close)
         self.engage()
 
-    path: Road | None = None
-    plan: SpeedPlan | FollowedPlan | None = None
+    path: Any = None
+    """`Road` that is followed; None: none yet"""
+    plan: Any = None
+    """`SpeedPlan` along it, of a trajectory a `FollowedPlan`; None: none"""
 
     def _set_path(self, path: Any, plan: SpeedPlan | None) -> None:
         if not isinstance(path, Road):
@@ -336,6 +338,7 @@ class Tracker:
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
         self._call(tracker_apply)
+        return None
 
     def _leave_planner(self) -> None:
         """Follow no trajectory any more."""
