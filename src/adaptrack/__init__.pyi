@@ -124,6 +124,7 @@ from .road import (
     plan_speed as plan_speed,
     road_through as road_through,
 )
+from .road.planned_trajectory import PlannedTrajectory as PlannedTrajectory
 from .road.road_ahead import RoadAhead as RoadAhead
 from .scenario import (
     RoadDrive as RoadDrive,

@@ -35,8 +35,8 @@ REST_SPEED, MIN_REST = 0.05, 0.25
 """m/s, s: a slower car is at rest, if for so long."""
 TANGENT_BASE, YAW_BASE = 0.5, 2.0
 """m, from a place at least to those that show its tangent; from a place to the next with which its yaw is compared."""
-MAX_YAW_ERROR, AXLE_REACH = math.tan(math.radians(15.0)), 3.0
-"""Tangent of the largest angle between yaw and tangent, in addition to the one of an axle that lies so far (m) behind
+MAX_YAW_ERROR, AXLE_REACH = 0.268, 3.0
+"""Tangent of 15 degrees, the largest angle between yaw and motion in addition to the one of an axle that lies so far (m) behind
 the tracked point and moves along the yaw."""
 MIN_SLIP_COSINE = 0.8
 """Least cosine of the angle between the yaw and the motion of the tracked point; a larger angle is due to noise."""
