@@ -70,6 +70,7 @@ from .control.estimation import (
     list_estimators as list_estimators,
     register_estimator as register_estimator,
 )
+from .control.following import Following as Following
 from .control.kalman import Drifts as Drifts, KalmanFilter as KalmanFilter, SensorNoise as SensorNoise
 from .control.models import (
     PathModel as PathModel,

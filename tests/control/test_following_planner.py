@@ -6,7 +6,7 @@ import pytest
 import adaptrack as at
 from adaptrack.control.following import DrivenBy, Following, Verdict
 from adaptrack.control.tracker import Tracker
-from adaptrack.road import PlannedTrajectory
+from adaptrack.road.planned_trajectory import PlannedTrajectory
 from foreign_loop import drive, on_road
 
 pytestmark = pytest.mark.kernels

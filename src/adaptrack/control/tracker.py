@@ -42,11 +42,12 @@ from adaptrack.core.member import CallBack
 from adaptrack.core.planned.records import FALLBACK, PLANNER, Planned
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
-from adaptrack.core.tracker.planner import begin_trajectory, watch_planner
+from adaptrack.core.tracker.planner import begin_trajectory, leave_planner, watch_planner
 from adaptrack.core.tracker.signals import NO_BELIEF, STATUS, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking, tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow
-from adaptrack.road import PlannedTrajectory, Road, SpeedPlan, Stop
+from adaptrack.road import Road, SpeedPlan, Stop
+from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.road_ahead import RoadAhead, pack_roads, stacked
 
 Array = NDArray[np.float64]
@@ -345,6 +346,7 @@ class Tracker:
         if self._planner is not None:
             self._planner = PlannerFollower(self._planner.following, self.controller)
             self._load(self._kernel._replace(planned=self._planner.planned))
+            leave_planner(self._resident)
 
     def _follow_planner(
         self, trajectory: PlannedTrajectory, fallback: PlannedTrajectory | None, now: float | None
@@ -353,6 +355,7 @@ class Tracker:
         if self._planner is None:
             self._planner = PlannerFollower(Following(), self.controller)
             self._load(self._kernel._replace(planned=self._planner.planned))
+            leave_planner(self._resident)
         if now is None:
             now = float(self._kernel.memory[0].last)
         if not math.isfinite(now):

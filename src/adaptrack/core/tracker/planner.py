@@ -151,18 +151,21 @@ def _fits(car, nodes, line):
 @inlined
 def _write_speeds(nodes, count, line, speeds):
     """Write speeds and times of nodes along their line, from 0 to its length; how many places these are."""
-    k, s, length = 0, 0.0, line.numbers[LENGTH]
-    speeds.s[0] = 0.0
+    k, s, length = -1, 0.0, line.numbers[LENGTH]
     for j in range(count):
         node, is_rest = nodes[j], nodes[j, NODE.leave] > nodes[j, NODE.arrive]
         s, _, _, _ = foot_near(node[NODE.x], node[NODE.y], s, line)
-        place = length if j == count - 1 else min(s, length)
-        if j == 0 or place > speeds.s[k] + LEAST_STEP:
+        place = length if j == count - 1 else clip(s, 0.0, length)
+        if j == 0 and place > LEAST_STEP:  # the line begins behind the trajectory
+            speeds.s[0], speeds.speed[0] = 0.0, max(node[NODE.speed], LEAST_SPEED)
+            speeds.arrive[0] = speeds.leave[0] = node[NODE.arrive] - place / speeds.speed[0]
+            k = 0
+        if k < 0 or place > speeds.s[k] + LEAST_STEP:
             k += 1
-        speeds.s[k], speeds.arrive[k], speeds.leave[k] = place, node[NODE.arrive], node[NODE.leave]
+            speeds.s[k] = place
+        speeds.arrive[k], speeds.leave[k] = node[NODE.arrive], node[NODE.leave]
         speeds.speed[k] = 0.0 if is_rest else max(node[NODE.speed], LEAST_SPEED)
-    speeds.speed[0] = max(nodes[0, NODE.speed], LEAST_SPEED)
-    speeds.arrive[0] = speeds.leave[0] = nodes[0, NODE.arrive] - speeds.s[1] / speeds.speed[0]
+    speeds.s[0] = 0.0
     return k + 1
 
 
@@ -178,9 +181,11 @@ def _write_stops(count, speeds, stops):
 
 
 @inlined
-def _asks_too_much(friction, nodes, count, line):
-    """Whether nodes need more than a friction (at its low end; NaN: unknown) in their bends."""
+def _is_no_fallback(friction, nodes, count, line):
+    """Whether nodes do not end at rest, or need more than a friction (at its low end; NaN: unknown) in their bends."""
     s = 0.0
+    if nodes[count - 1, NODE.leave] < math.inf:
+        return True
     for j in range(count):
         s, _, _, curvature = foot_near(nodes[j, NODE.x], nodes[j, NODE.y], s, line)
         if square(nodes[j, NODE.speed]) * abs(curvature) > friction * GRAVITY:
@@ -322,7 +327,7 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         return verdict, flaw, 0
     line = _path(rooms)
     is_fallback = arrival.role == FALLBACK
-    if is_fallback and (not _fits(car, rooms.nodes, line) or _asks_too_much(friction, rooms.nodes, count, line)):
+    if is_fallback and (not _fits(car, rooms.nodes, line) or _is_no_fallback(friction, rooms.nodes, count, line)):
         return clock.UNFIT, OK, 0
     if not is_fallback and _waits(arrival, car, rooms, settings, own):
         own.stamp, own.arrival = arrival.stamp, arrival.time
@@ -357,6 +362,12 @@ def begin_trajectory(arrival, tracker):
     m.aside = aside if arrival.is_urgent == 0 and abs(m.offset - before) <= MOST_ASIDE else 0.0
     m.aside = clip(m.aside, -MOST_ASIDE, MOST_ASIDE)
     own.driven_by, own.debt, own.is_leaving = arrival.role, 0.0, 0
+
+
+@exported(void(Place(TrackerRecord)))
+def leave_planner(tracker):
+    """Follow no trajectory any more: the tracker goes over to a path without times."""
+    clock.forget_planner(tracker.planned.memory[0])
 
 
 @exported(int64(float64, Place(TrackerRecord)))
