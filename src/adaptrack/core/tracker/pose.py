@@ -48,7 +48,7 @@ def time_of(m, period):
 @inlined
 def line(tracker):
     """The centre line of the path."""
-    return line_of(0, tracker.path)
+    return line_of(0 if has_path(tracker) else -1, tracker.path)
 
 
 @inlined
