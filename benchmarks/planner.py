@@ -169,6 +169,7 @@ def ahead_of_car(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive)
 
 def stop_from(drive: at.RoadDrive, stamp: float, begin: float, deceleration: float) -> PlannedTrajectory:
     """A trajectory along the line that brakes from the planned speed at a time (s) of the plan on."""
+    begin = min(begin, drive.plan.duration)
     place, speed = map(float, drive.plan.motion(begin))
     before = np.arange(float(drive.plan.motion(stamp)[0]) - 5.0, place, 1.0)
     t = np.append(np.arange(0.0, speed / deceleration, 0.1), speed / deceleration)
