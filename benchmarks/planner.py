@@ -4,10 +4,11 @@
     python benchmarks/planner.py --tracker before      each trajectory as a new path and plan, without its times
     python benchmarks/planner.py --tracker autoware-spatial | autoware-temporal     see examples/plugins
 
-Seed 5711 reports (roads, sensors and planners of all drives follow from it); seeds 5700 to 5710 were for choosing. The
-drives of a car and profile have a road each, in turn of a country, a town and mountains, at up to 15 m/s; `sheet` is the sedan of which the controller knows
-mass and wheelbase alone, and learns. RMS: root mean square of the offset from the line that was meant, from 3 s on,
-over that of the same drive along one fixed path with the same noise.
+Seed 5711 reports (roads, sensors and planners of all drives follow from it); seeds 5700 to 5710 were for choosing. Each
+drive of a car and profile has its own road, in turn of a country, a town and mountains, at up to 15 m/s. The controller
+of `sheet` knows mass and wheelbase of the sedan alone, and learns. RMS: root mean square (m) of the offset from the line
+that was meant, from 3 s on; in brackets over that of the same drive along one fixed path with the same noise. Of other
+measures the table has the mean over the drives and, in brackets, the largest.
 """
 
 from __future__ import annotations
@@ -185,7 +186,7 @@ def silent_for(seconds: float, has_fallback: bool) -> Callable[..., Arrival | No
     """A planner that falls silent, with or without a fallback beside each of its trajectories."""
 
     def change(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Arrival | None:
-        if EVENT <= now < EVENT + seconds - 0.1 + 1e-6:  # from the last arrival before to the next one
+        if EVENT <= now < EVENT + seconds - 0.1 - 1e-6:  # from the last arrival before to the next one
             return None
         stamp = trajectory.stamp
         return trajectory, stop_from(drive, stamp, stamp + 1.0, FALLBACK_BRAKING) if has_fallback else None
