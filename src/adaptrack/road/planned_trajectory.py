@@ -17,20 +17,21 @@ from adaptrack.base.files import finite_number, printable, read_bytes, table_lin
 from adaptrack.core.maths import portable
 from adaptrack.core.planned import condition as kernel
 from adaptrack.core.planned.records import GIVEN, NODE
-from adaptrack.road.points import POINT_COLUMNS, bracketed_unit, plain_title, split_cells
+from adaptrack.road.points import POINT_COLUMNS, bracketed_unit, plain_title, split_cells, split_header
 from adaptrack.road.segments import Array
 
 TRAJECTORY_COLUMNS = {
-    "t": ("s", ("t", "time", "t_s", "time_s", "time_from_start", "timestamp")),
-    "x": ("m", POINT_COLUMNS["x"]),
-    "y": ("m", POINT_COLUMNS["y"]),
-    "yaw": ("rad", ("yaw", "yaw_rad", "psi", "psi_rad", "heading", "heading_rad", "theta", "orientation")),
-    "speed": ("m/s", ("speed", "speed_mps", "v", "v_mps", "vx", "vx_mps", "velocity", "longitudinal_velocity",
-                      "longitudinal_velocity_mps")),
-    "acceleration": ("m/s^2", ("acceleration", "acceleration_mps2", "a", "ax", "ax_mps2", "longitudinal_acceleration")),
-    "curvature": ("1/m", ("curvature", "kappa", "kappa_radpm")),
+    "t": (("s",), ("t", "time", "t_s", "time_s", "time_from_start", "timestamp")),
+    "x": (("m",), POINT_COLUMNS["x"]),
+    "y": (("m",), POINT_COLUMNS["y"]),
+    "yaw": (("rad",), ("yaw", "yaw_rad", "psi", "psi_rad", "heading", "heading_rad", "theta", "orientation")),
+    "speed": (("m/s", "mps"), ("speed", "speed_mps", "v", "v_mps", "vx", "vx_mps", "velocity", "longitudinal_velocity",
+                               "longitudinal_velocity_mps")),
+    "acceleration": (("m/s^2", "m/s2", "mps2"), ("acceleration", "acceleration_mps2", "a", "ax", "ax_mps2",
+                                                 "longitudinal_acceleration")),
+    "curvature": (("1/m", "rad/m"), ("curvature", "kappa", "kappa_radpm")),
 }  # fmt: skip
-"""Unit of each column of a file, and what it may be called. Columns of other names are left out."""
+"""Spellings of the unit of each column of a file, and of its name. Columns of other names are left out."""
 _REFUSALS = {
     kernel.BAD_NUMBER: "entry {k}: t = {t:g} s, x = {x:g} m, y = {y:g} m: must be finite, x and y within 1e8 m.",
     kernel.FALLING_TIME: "entry {k}: t = {t:g} s comes before that of the entry above: give times that never fall.",
@@ -96,7 +97,7 @@ class PlannedTrajectory:
     """whether the trajectory goes on backwards, which is not driven: the car stops there"""
 
     def __post_init__(self) -> None:
-        columns = []
+        columns: list[Array] = []
         for name in GIVEN._fields:
             values, is_optional = getattr(self, name), name not in ("t", "x", "y")
             is_missing = values is None and is_optional
@@ -163,10 +164,10 @@ class PlannedTrajectory:
             When it is no trajectory; the message names the line or the entry, and the remedy.
         """
         where = os.fspath(path)
-        lines, _ = table_lines(where, read_bytes(path), "strict")
-        places = _places_of_columns(where, split_cells(lines[0][1]) if lines else [])
+        header, rows = split_header(where, *table_lines(where, read_bytes(path), "strict"))
+        places = _places_of_columns(header.where, header.titles)
         columns: dict[str, list[float]] = {name: [] for name in places}
-        for line, text in lines[1:]:
+        for line, text in rows:
             cells = split_cells(text)
             for name, place in places.items():
                 cell = cells[place].replace(",", ".") if place < len(cells) else ""
@@ -250,15 +251,15 @@ class PlannedTrajectory:
 def _places_of_columns(where: str, titles: list[str]) -> dict[str, int]:
     """The place of each quantity's column; refuses files without t, x or y, doubled columns and other units."""
     places: dict[str, int] = {}
-    for name, (unit, names) in TRAJECTORY_COLUMNS.items():
+    for name, (units, names) in TRAJECTORY_COLUMNS.items():
         matches = [k for k, title in enumerate(titles) if plain_title(title) in names]
         if len(matches) > 1 or (not matches and name in ("t", "x", "y")):
             hint = "there are two of them." if matches else did_you_mean(name, titles)
-            raise ConfigError(f"{where}: the first line must name one column {name!r} ({unit}): {hint}")
+            raise ConfigError(f"{where}: the header must name one column {name!r} ({units[0]}): {hint}")
         for k in matches:
             places[name] = k
-            if bracketed_unit(titles[k]) not in ("", unit):
-                raise ConfigError(f"{where}: column {printable(titles[k])!r}: must be in {unit}; convert it.")
+            if bracketed_unit(titles[k]) not in ("", *units):
+                raise ConfigError(f"{where}: column {printable(titles[k])!r}: must be in {units[0]}; convert it.")
     return places
 
 

@@ -149,7 +149,7 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
         When it is no such table; the message names the line and the remedy.
     """
     where = os.fspath(path)
-    header, rows = _header(where, *table_lines(where, read_bytes(path), "strict"))
+    header, rows = split_header(where, *table_lines(where, read_bytes(path), "strict"))
     if len(rows) < MIN_PATH_POINTS:
         raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {MIN_PATH_POINTS} points.")
     names = _names(header, len(split_cells(rows[0][1])), speed_column)
@@ -216,8 +216,8 @@ def _notes(titles: Sequence[str], names: Sequence[str]) -> list[str]:
     return notes
 
 
-def _header(where: str, lines: NumberedLines, remarks: NumberedLines) -> tuple[_Header, NumberedLines]:
-    """The header, and the lines of numbers."""
+def split_header(where: str, lines: NumberedLines, remarks: NumberedLines) -> tuple[_Header, NumberedLines]:
+    """The header, in the first line or the remarks above it, and the lines of numbers."""
     if not lines:
         return _Header(where, []), lines
     line, text = lines[0]

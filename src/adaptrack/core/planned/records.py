@@ -21,7 +21,7 @@ NODE = columns(
     "arrive",
     "leave",  # s, on the tracker's clock: they differ where the car is to stand
     "speed",  # m/s
-)
+)  # fmt: skip
 """A place of a conditioned trajectory. Places are at least `condition.MERGING_DISTANCE` apart."""
 
 PlannedSpeeds = record("PlannedSpeeds", (("s", vector), ("speed", vector), ("arrive", vector), ("leave", vector)))
