@@ -224,7 +224,7 @@ def _write_line(arrival, car, count, noise, rooms, tracker):
         splice.project(rooms.nodes, count, car.station, pose.line(tracker), rooms.feet)
     if car.station == car.station and arrival.role == PLANNER and arrival.is_urgent == 0:
         tolerance = splice.tolerance_of(planned.settings[0].position_noise, noise)
-        until = splice.kept_until(car, tolerance, rooms.feet, count, planned.points)
+        until = splice.agreed_until(car, tolerance, rooms.feet, count, planned.points, planned.memory[0])
     points = rooms.points
     end = splice.join(rooms.nodes, count, rooms.feet, until, car, pose.line(tracker), planned.points, points)
     first = splice.extend(car, rooms.nodes, end, points)
