@@ -2,12 +2,12 @@
 
     python benchmarks/planner.py [--cases i ii ... ix swerve] [--drives 10] [--cars sedan van sheet] [--profiles road]
     python benchmarks/planner.py --tracker before      each trajectory as a new path and plan, without its times
-    python benchmarks/planner.py --tracker autoware-spatial | autoware-temporal     see examples/plugins
+    python benchmarks/planner.py --tracker autoware-spatial | autoware-temporal     with examples/plugins in PYTHONPATH
 
 Seed 5711 reports (roads, sensors and planners of all drives follow from it); seeds 5700 to 5710 were for choosing. Each
 drive of a car and profile has its own road, in turn of a country, a town and mountains, at up to 15 m/s. The controller
-of `sheet` knows mass and wheelbase of the sedan alone, and learns. RMS: root mean square (m) of the offset from the line
-that was meant, from 3 s on; in brackets over that of the same drive along one fixed path with the same noise. Of other
+of `sheet` knows mass and wheelbase of the sedan alone, and learns. RMS: root mean square of the offset from the line
+that was meant (m), from 3 s on; in brackets over that of the same drive along one fixed path with the same noise. Of other
 measures the table has the mean over the drives and, in brackets, the largest.
 """
 
@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from importlib import import_module
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -271,7 +272,16 @@ class FixedPath:
         return []
 
 
+def autoware(mode: str) -> Callable[[WatchedController], Any]:
+    """Autoware's structure in a mode."""
+    return lambda controller: import_module("autoware_follow").AutowareFollow(
+        controller.speed.car, controller.profile, mode
+    )
+
+
 TRACKERS: dict[str, Callable[[WatchedController], Any]] = {
+    "autoware-spatial": autoware("spatial"),
+    "autoware-temporal": autoware("temporal"),
     "before": lambda controller: PathTracker(controller.controller, controller.speed),
     "fixed": lambda controller: at.Tracker(
         controller.controller, controller.drive.road, plan=controller.drive.plan, speed=controller.speed
@@ -325,7 +335,8 @@ def drive(
 ) -> Driven:  # fmt: skip
     """Simulate a drive; planner: None for one fixed path."""
     controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath(), following)
-    controller.drive, controller.kind = road_drive, "fixed" if planner is None else tracker
+    controller.drive, controller.profile = road_drive, group.profile
+    controller.kind = "fixed" if planner is None else tracker
     run = at.simulate(at.DualTrack(group.vehicle), controller, road_drive, profile=group.profile, seed=seed)
     return Driven(run, controller, road_drive)
 
