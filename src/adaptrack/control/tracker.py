@@ -39,6 +39,7 @@ from adaptrack.core.kernel import Resident, address_of, direct, fields_of
 from adaptrack.core.layout import empty
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
+from adaptrack.core.planned.clock import FUTURE
 from adaptrack.core.planned.records import FALLBACK, PLANNER, Planned
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
@@ -365,6 +366,9 @@ class Tracker:
         verdict = self._go_over_to(trajectory, now, PLANNER)
         if fallback is not None and verdict in (Verdict.TAKEN, Verdict.SAME):
             self._planner.fallback = fallback, now
+        offset = float(self._kernel.planned.memory[0].clock_offset)
+        if abs(offset) > FUTURE:
+            self._warn_once("clock", "the clock of the planner differs: %.3g s are added to its stamps.", offset)
         if verdict in (Verdict.STALE, Verdict.EARLY, Verdict.OLDER):
             self._warn_once(verdict, "a trajectory was refused, it is %s: its stamp is %.3f s, it arrived at %.3f s; "
                             "see docs/planner.md.", verdict, trajectory.stamp, now)  # fmt: skip
@@ -391,7 +395,11 @@ class Tracker:
         silence, why = self._planner.following.silence, "it has left no fallback that is fresh enough"
         if (fallback := self._planner.fresh_fallback(now)) is not None:
             why = "its fallback does not begin at the car, or asks for more grip than is assumed"
-            if self._go_over_to(fallback, now, FALLBACK) is Verdict.TAKEN:
+            try:
+                verdict = self._go_over_to(fallback, now, FALLBACK)
+            except InvalidInput as error:  # a step goes on whatever a planner has sent
+                verdict, why = Verdict.UNFIT, str(error)
+            if verdict is Verdict.TAKEN:
                 _log.warning("adaptrack: no trajectory for %.2g s: the car follows the fallback.", silence)
                 return
         _log.warning("adaptrack: no trajectory for %.2g s: the car stops along the last one, %s.", silence, why)
