@@ -49,6 +49,8 @@ SPEED = "drive country --road-seed 1 --length 300 --vehicle midsize-sedan --spee
     ("drive no-such-file.toml", ["no-such-file.toml"]),
     ("drive step --controller as-relased", ["Did you mean 'as-released'"]),
     ("drive step --scheduler no-such.json", ["no-such.json"]),
+    ("drive step --planner delay=0.1", ["--planner", "name a road"]),
+    ("drive country --planner dely=0.1", ["'dely'", "period, delay, jitter, start"]),
     ("drive step --period nan", ["period = nan s", "must be a finite number > 0"]),
     ("drive step --period 1e-9", ["2,000,000 are possible"]),
     ("drive step --np 1000000000", ["Np = 1000000000", "at most 1,000"]),
