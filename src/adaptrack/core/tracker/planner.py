@@ -202,13 +202,13 @@ def _is_no_fallback(friction, car, nodes, count, line):
 
 # -- a trajectory -----------------------------------------------------------------------------------------------------
 @inlined
-def _shape_of(given):
+def _checksum_of(given):
     """A number that two trajectories share only if their times and poses are alike."""
-    shape = 0.0
+    total = 0.0
     for j in range(len(given)):
         for i in range(GIVEN.speed):
-            shape = given[j, i] - 0.9999 * shape if given[j, i] == given[j, i] else shape
-    return shape
+            total = given[j, i] - 0.9999 * total if given[j, i] == given[j, i] else total
+    return total
 
 
 @inlined
@@ -303,7 +303,7 @@ def _stamp(given, arrival, settings, memory):
     if arrival.role != PLANNER:
         return clock.TAKEN, arrival.time
     verdict, begins = clock.place_stamp(arrival.stamp, arrival.time, settings, memory)
-    if verdict == clock.TAKEN and memory.driven_by == PLANNER and _shape_of(given) == memory.shape:
+    if verdict == clock.TAKEN and memory.driven_by == PLANNER and _checksum_of(given) == memory.checksum:
         verdict = clock.SAME
     return verdict, begins
 
@@ -344,7 +344,7 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         _let_be_on_time(arrival.time, car, places, rooms)
     else:
         _watch_meant_line(arrival, car, count, rooms, tracker)
-        own.stamp, own.arrival, own.shape = arrival.stamp, arrival.time, _shape_of(given)
+        own.stamp, own.arrival, own.checksum = arrival.stamp, arrival.time, _checksum_of(given)
     parts[PARTS.points], parts[PARTS.speeds], parts[PARTS.room] = points, places, rooms.speeds.s.size
     parts[PARTS.stops] = _write_stops(places, rooms.speeds, rooms.stops)
     parts[PARTS.path_at] = _words_before_path(len(given), len(planned.points))
