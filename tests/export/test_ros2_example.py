@@ -443,10 +443,10 @@ def poses_of(node):
     """(n, 5) of the poses of the predicted path behind a stamp of 0.9 s: ns, x, y, and z, w of the quaternion."""
     message = path([])
     messages.fill_path(message, ros_messages.stamp(0.9), "map", node.predicted_path(), pose_stamped)
-    assert {each.header.frame_id for each in message.poses} <= {message.header.frame_id} == {"map"}
+    assert {place.header.frame_id for place in message.poses} <= {message.header.frame_id} == {"map"}
     rows = [
-        (1e9 * each.header.stamp.sec + each.header.stamp.nanosec, each.pose.position.x, each.pose.position.y,
-         each.pose.orientation.z, each.pose.orientation.w) for each in message.poses
+        (1e9 * place.header.stamp.sec + place.header.stamp.nanosec, place.pose.position.x, place.pose.position.y,
+         place.pose.orientation.z, place.pose.orientation.w) for place in message.poses
     ]  # fmt: skip
     return np.array(rows).reshape(-1, 5)
 
@@ -462,11 +462,11 @@ def test_the_predicted_path_begins_behind_the_dead_time_and_points_along_the_way
     node.tick(0.0)
     rows = poses_of(node)
     delays = 1e-9 * rows[:, 0] - 0.9
-    driven = np.hypot(rows[:, 1] - x - CAR.lr * math.cos(turned), rows[:, 2] - y - CAR.lr * math.sin(turned))
+    distances = np.hypot(rows[:, 1] - x - CAR.lr * math.cos(turned), rows[:, 2] - y - CAR.lr * math.sin(turned))
     assert delays == pytest.approx(delays[0] + 0.05 * np.arange(30), abs=1e-6)
     assert delays[0] >= 0.05 + node.parameters.command_delay
-    assert np.diff(driven) == pytest.approx(0.25, abs=0.03)
-    assert driven[0] == pytest.approx(5.0 * delays[0], abs=0.05)
+    assert np.diff(distances) == pytest.approx(0.25, abs=0.03)
+    assert distances[0] == pytest.approx(5.0 * delays[0], abs=0.05)
     assert 2.0 * np.arctan2(rows[:, 3], rows[:, 4]) == pytest.approx(turned, abs=1e-3)
 
 

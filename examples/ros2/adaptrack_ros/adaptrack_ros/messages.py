@@ -139,7 +139,7 @@ def set_later(time: Any, stamp: Any, delay: float) -> None:
 
 
 def fill_path(message: Any, stamp: Any, frame: str, rows: Array, pose_stamped: Any) -> None:
-    """Write a nav_msgs/Path of rows (n, 4): s after the stamp, x, y (m), yaw (rad); pose_stamped: class of its poses."""
+    """Write a nav_msgs/Path of rows (n, 4): s after the stamp, x, y (m), yaw (rad); pose_stamped: class of a pose."""
     message.header.stamp, message.header.frame_id, message.poses = stamp, frame, []
     for delay, x, y, yaw in rows.tolist():
         pose = pose_stamped()
