@@ -471,7 +471,7 @@ class Tracker:
     def predicted_path(self) -> Array:
         """(Np, 2) m: where the MPC expects the car at the instants from behind its dead time on, as of its last step.
 
-        (0, 2) before the first step on a path, and where the last step found no solution.
+        (0, 2) before the first step on a path, and if the last step found no solution.
 
         Raises
         ------

@@ -259,9 +259,9 @@ def _base_units(unit: str) -> dict[str, int]:
 
 
 def _variable(variables: ET.Element, reference: int, value: UnitValue, version: str, length: int) -> None:
-    """One variable, an array where it has a length. What is an output does not depend on an input of the same instant.
+    """One variable. What is an output does not depend on an input of the same instant.
 
-    FMI 2.0 has no arrays: their elements are variables there.
+    length: numbers of the variable if its name has an index; in FMI 2.0, which has no arrays, each is a variable.
     """
     second = version == "2.0"
     causality, variability = {

@@ -103,10 +103,10 @@ def predict_outputs(slot, mpc, y):
 def predict_path(slot, station, speeds, road, roads, mpc, points):
     """Write x and y (m), in turn, of where the last step predicts the car: 1, 2, ..., Np periods after the dead time.
 
-    It returns how many points there are, and the time (s) from the step to the first one. There is none before the
-    first step, and where the last step found no solution. Points that do not fit are not written. station: m, of the
-    car's foot at the step; speeds: m/s, expected from then on; road: which of `roads`, -1: the x axis. To be called
-    before another slot makes a step.
+    It returns the number of points, and the time (s) from the step to the first one. The number is 0 before the first
+    step, and if the last step found no solution. Nothing is written if the points do not fit. station: m, of the car's
+    foot at the step; speeds: m/s, expected at the instants from then on; road: which of `roads`, -1: the x axis. To be
+    called before another slot makes a step.
     """
     settings, memory, delay = mpc.settings, mpc.memory[slot], batch.delay_of(slot, mpc)
     first = settings.period + delay * settings.period

@@ -306,8 +306,8 @@ def tracker_step(tracking):
 def tracker_predict(tracking, points):
     """Write x and y (m), in turn, of where an MPC expects the car, as of the last control instant; see `predict_path`.
 
-    It returns how many points there are, and the time (s) from that instant to the first one. There is none of other
-    controllers, and none before the first control instant on this path.
+    It returns the number of points, and the time (s) from that instant to the first one. The number is 0 for other
+    controllers, and before the first control instant on this path.
     """
     tracker, controller, m = tracking.tracker, tracking.controller, tracking.tracker.memory[0]
     if controller.plans == 0 or m.predicted == 0:
