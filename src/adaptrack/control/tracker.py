@@ -584,16 +584,18 @@ class Tracker:
     def predicted_path(self) -> Array:
         """(Np, 2) m: where the MPC expects the car at the instants from behind its dead time on, as of its last step.
 
+        (0, 2) before the first step on a path, and if the last step found no solution.
+
         Raises
         ------
         InvalidInput
-            When the controller is no `MPC`, or has not been called.
+            When the controller predicts nothing: it is no `MPC`.
         """
-        has_stepped = self._kernel.memory[0].started
-        path = self.controller.predicted_path(self._road_ahead()) if has_stepped else np.zeros((0, 2))
-        if not path.size:
-            raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
-        return np.asarray(path)
+        if type(self.controller).predicted_path is Controller.predicted_path:
+            raise InvalidInput(f"Tracker.predicted_path: {self.controller.name} does not predict: give an MPC.")
+        if not self._kernel.memory[0].predicted:
+            return np.zeros((0, 2))
+        return np.asarray(self.controller.predicted_path(self._road_ahead()))
 
 
 # -- trackers as records of the kernels: around any controller, and whole with a compiled one --------------------------
