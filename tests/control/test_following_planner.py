@@ -229,6 +229,7 @@ def hidden_offset(aside, begins_at_car):
     return [sentence for sentence in answers[-1].suspect if "trajectories" in sentence]
 
 
+@pytest.mark.compiled
 def test_a_planner_that_hides_an_offset_is_reported_and_one_that_shows_it_is_not():
     assert len(hidden_offset(0.3, begins_at_car=True)) == 1
     assert not hidden_offset(0.3, begins_at_car=False)

@@ -63,7 +63,7 @@ PLANNED_MEMORY = record(
         "stamp",  # s, of the last trajectory that was taken, on its own clock
         "arrival",  # s, of it
         "other_stamps", "other_offset",  # -, s: stamps in a row that fit another clock, and its offset
-        "shape",  # checksum of its points
+        "checksum",  # of its points
         # replans:
         "disagreed",  # trajectories in a row that do not agree with the line that is followed
         "returned",  # fresh trajectories in a row since the planner fell silent

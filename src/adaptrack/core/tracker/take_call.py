@@ -169,7 +169,7 @@ def tracker_follow(near, tracker):
     """
     m = tracker.memory[0]
     pose.hint(m, near)
-    m.due = 0
+    m.due, m.predicted = 0, 0
     if m.started == 0:
         return
     if pose.has_path(tracker):
