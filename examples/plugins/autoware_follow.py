@@ -12,10 +12,10 @@ structure, weights and filter; the longitudinal PID is that of `autoware_speed`.
 
 Source: the documentation of `autoware_mpc_lateral_controller` and of `autoware_pid_longitudinal_controller` with their
 published parameters, and the descriptions of the pull requests that added the temporal mode (autowarefoundation/
-autoware_universe #12886) and that let time alone choose the reference point (tier4/autoware_universe #3138);
-Apache 2.0. Written from these descriptions; no code is copied. Left out: the smoothing of paths, the removal of steering offsets,
-and the watch over the age of messages, which belongs to another node there. A pose that is missing is carried on with
-speed and yaw rate, as its localiser would.
+autoware_universe #12886) and that let time alone choose the reference (tier4/autoware_universe #3138); Apache 2.0.
+Written from these descriptions; no code is copied. Left out: the smoothing of paths, the removal of steering offsets,
+and the watch over the age of messages, which belongs to a different node there. A missing pose is carried on with speed
+and yaw rate.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class AutowareFollow:
             return
         length = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
         length *= road.length / length[-1]
-        t, speed = given[kept][:, [0, 4]].T
+        t, speed = given[kept, 0], np.minimum.reduceat(given[:, 4], np.flatnonzero(kept))  # a rest stays a rest
         plan = SpeedPlan(length, speed, t - t[0], float(t[-1] - t[0]), False, Comfort())
         place = length[np.cumsum(kept) - 1]
         self._followed = Followed(road, plan, stamp + given[:, 0], place, given[:, 4])
