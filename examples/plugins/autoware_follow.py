@@ -111,6 +111,9 @@ class AutowareFollow:
         self._followed = Followed(road, plan, stamp + given[:, 0], place, given[:, 4])
         kind = TemporalFollower if self._mode == "temporal" else AutowareFollower
         before, self._follower = self._follower, kind(self._settings, road, plan, self.mpc.period)
+        self._follower._stops = [  # a planner leaves out the stops that are over
+            stop for stop in self._follower._stops if stamp + np.interp(stop.s, length, t) + stop.seconds > now
+        ]
         if before is not None:
             fresh = {"_path": road, "_plan": plan, "_stops": self._follower._stops, "_left_at": -math.inf}
             self._follower.__dict__.update(before.__dict__ | fresh)
