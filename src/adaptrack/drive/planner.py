@@ -176,7 +176,7 @@ class PlannedAnswer(NamedTuple):
     """Answer of a `PlannedController`."""
 
     angle: float
-    longitudinal: SpeedCommand
+    longitudinal: SpeedCommand | None
     diagnostics: Mapping[str, float]
 
 
@@ -191,8 +191,13 @@ class PlannedController(SampledController):
         self, controller: Controller, speed: SpeedControl, planner: SimulatedPlanner, following: Following | None = None
     ) -> None:
         self.controller, self.speed, self.planner, self.following = controller, speed, planner, following
-        self.name, self.period, self.limits = controller.name, controller.period, controller.limits
-        self.vehicle, self.belief = controller.vehicle, None if controller.learner is not None else controller.belief
+        self.period, self.limits, self.vehicle = controller.period, controller.limits, controller.vehicle
+        self.belief = None if controller.learner is not None else controller.belief
+
+    @property
+    def name(self) -> str:
+        """Name of the controller behind the tracker."""
+        return str(self.controller.name)
 
     def describe(self) -> dict[str, Any]:
         return {**self.controller.describe(), "planner": str(self.planner)}
@@ -213,4 +218,4 @@ class PlannedController(SampledController):
             self.tracker.follow(trajectory, fallback=fallback, now=float(sample[TRACKER_SAMPLE.now]))
         signals = dict(zip(TRACKER_SAMPLE._fields, sample.tolist(), strict=True))
         tracked = self.tracked = self.tracker.step(**{name: signals[name] for name in _SIGNALS})
-        return PlannedAnswer(tracked.command, tracked.longitudinal, {"late": getattr(tracked, "late", math.nan)})
+        return PlannedAnswer(tracked.command, tracked.longitudinal, {"late": tracked.late})
