@@ -214,8 +214,11 @@ class _Argument(NamedTuple):
 
 
 # -- checks without annotations: for calls in every control period, for rows and tables -------------------------------
-def real(where: str, name: str, value: object) -> float:
-    """Return a real number as a float.
+OR_NAN = " (NaN if it was not measured)"
+
+
+def real(where: str, name: str, value: object, or_else: str = "") -> float:
+    """Return a real number as a float; or_else: what the message adds to "must be a number".
 
     Raises
     ------
@@ -224,7 +227,7 @@ def real(where: str, name: str, value: object) -> float:
         with `where` and `name`.
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a number.")
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a number{or_else}.")
     try:
         return float(value)
     except OverflowError:
