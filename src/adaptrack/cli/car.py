@@ -95,8 +95,7 @@ def car(
     A new car needs --mass and --wheelbase. All other values are estimated from published measurements, and the car file
     lists them as estimated. Without a car, --tir makes only a tyre file.
     """
-    if out is not None and out.suffix != ".toml":
-        raise InvalidInput(f"--out {out}: must end in .toml.")
+    options.check_ending("--out", out, ".toml")
     if tir is not None and tyre_table is not None:
         raise InvalidInput("--tir and --tyre-table: give only one of them.")
     if name is not None and new != NewCar(body_style=new.body_style):

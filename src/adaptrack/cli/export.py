@@ -231,6 +231,7 @@ def export_page(
     The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
     are the initial settings; you can change all of them on the page.
     """
+    options.check_ending("--out", out, ".html")
     options.make_place(out)
     with show.replacing(out, aside=as_json):
         page = at.export_page(

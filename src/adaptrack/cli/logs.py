@@ -103,10 +103,8 @@ def identify(arguments: IdentifyOptions) -> None:
     from adaptrack.results.identify import identification_result, write_identification_page
 
     out, page, as_json = arguments.out, arguments.page, arguments.as_json
-    if out is not None and out.suffix != ".toml":
-        raise InvalidInput(f"--out {out}: a car file ends in .toml.")
-    if page is not None and page.suffix != ".html":
-        raise InvalidInput(f"--page {page}: a page ends in .html.")
+    options.check_ending("--out", out, ".toml")
+    options.check_ending("--page", page, ".html")
     reading = arguments.log_columns.reading
     options.make_place(out)
     if arguments.longitudinal:

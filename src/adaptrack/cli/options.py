@@ -232,6 +232,18 @@ def make_folder(path: Path) -> None:
         raise StorageError(f"{path}: cannot be written to: {getattr(error, 'strerror', None) or error}.") from error
 
 
+def check_ending(option: str, file: Path | None, ending: str) -> None:
+    """Check the ending of the name of an output file, unless `file` is None.
+
+    Raises
+    ------
+    InvalidInput
+        When the name ends differently.
+    """
+    if file is not None and file.suffix != ending:
+        raise InvalidInput(f"{option} {file}: give a file name that ends in {ending}, such as {file.stem}{ending}.")
+
+
 def make_place(file: Path | None) -> None:
     """Make the folder of an output file, unless `file` is None.
 

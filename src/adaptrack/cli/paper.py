@@ -156,8 +156,7 @@ def train(
     from adaptrack.paper.training import purpose_of, trained_schedule
     from adaptrack.paper.training import train as train_models
 
-    if out.suffix != ".json":
-        raise InvalidInput(f"--out {out}: give a file name that ends in .json.")
+    options.check_ending("--out", out, ".json")
     dataset = load_dataset(data)
     options.make_place(out)
     with show.progress("train") as advance:

@@ -211,6 +211,7 @@ def plot(
     from adaptrack.results.road import road_picture
     from adaptrack.results.style import png, print_figure
 
+    options.check_ending("--out", out, ".png")
     options.make_place(out)
     checked = route.look(road, at.load_vehicle(vehicle))
     write_atomically(out, png(print_figure(road_picture(checked.road, checked.plan, checked.findings))))
