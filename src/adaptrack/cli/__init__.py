@@ -132,16 +132,9 @@ def _check_surroundings() -> None:
 
 
 def _check_pairs() -> None:
-    """Refuse an option whose pair of numbers, such as LOW:HIGH, is split into two words.
-
-    Raises
-    ------
-    InvalidInput
-        When a number follows the value of such an option: no command takes a number by its position.
-    """
-    split = re.search(r"(--assumed-friction|--stop)[ =]([\d.]+) ([\d.]+)(?= |$)", " ".join(sys.argv))
-    if split:
-        option, first, second = split.groups()
+    """Refuse LOW:HIGH and S:SECONDS as two words: no command takes a number that is not the value of an option."""
+    if pair := re.search(r"(--assumed-friction|--stop)[ =]([\d.]+) ([\d.]+)(?= |$)", " ".join(sys.argv)):
+        option, first, second = pair.groups()
         raise InvalidInput(f"{option} {first} {second}: write one word with a colon, {option} {first}:{second}.")
 
 

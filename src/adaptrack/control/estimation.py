@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import OR_NAN, Count, Finite, Natural, NotNegative, Positive, checked, real, reals
+from adaptrack.base.checked import Count, Finite, Natural, NotNegative, Positive, checked, real, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import Contract, Registry, compile_function
 from adaptrack.cars.plant import DualTrack, SingleTrack
@@ -349,7 +349,7 @@ class FrictionWindEstimator:
         if sensed.shape != (4,):
             raise InvalidInput(f"measured: shape {sensed.shape}, expected (4,): v_y, yaw, yaw rate, y.")
         felt = math.nan if acceleration is None else real("estimator", "acceleration", acceleration)
-        forward, sent = real("estimator", "speed", speed, OR_NAN), real("estimator", "command", command)
+        forward, sent = real("estimator", "speed", speed, measured=True), real("estimator", "command", command)
         friction_wind.estimate(0, sensed, forward, sent, felt, self._packed, self._settings, self._memory)
         return self.estimate
 

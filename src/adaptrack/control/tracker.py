@@ -21,7 +21,7 @@ from typing import Annotated, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import OR_NAN, Bound, Finite, Hint, checked, real, reals
+from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import BeliefState, Controller
 from adaptrack.control.controllers.base import CalledController, python_part
@@ -620,7 +620,7 @@ def _number(name: str, value: Any) -> float:
     if value is None and name in _OPTIONAL:
         return math.nan
     if name not in _TRUTHS:
-        return real("Tracker.step", name, value, "" if name == "t" else OR_NAN)
+        return real("Tracker.step", name, value, measured=name != "t")
     if not isinstance(value, bool | np.bool_ | int) or value not in (0, 1):
         raise InvalidInput(f"Tracker.step: {name} = {format_value(value)}: must be True or False.")
     return float(value)

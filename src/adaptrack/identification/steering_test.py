@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import OR_NAN, Finite, checked, real, within
+from adaptrack.base.checked import Finite, checked, real, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LearnedCar
@@ -112,9 +112,8 @@ class SteeringTest:
         InvalidInput
             When an argument is no number, or a time is not finite or not later than the one before.
         """
-        time, v = real("SteeringTest.step", "t", t), real("SteeringTest.step", "speed", speed)
-        r = real("SteeringTest.step", "yaw_rate", yaw_rate, OR_NAN)
-        wheel = real("SteeringTest.step", "wheel_angle", wheel_angle, OR_NAN)
+        sample = {"t": t, "speed": speed, "yaw_rate": yaw_rate, "wheel_angle": wheel_angle}
+        time, v, r, wheel = (real("SteeringTest.step", name, value, name != "t") for name, value in sample.items())
         sent = time if command_time is None else real("SteeringTest.step", "command_time", command_time)
         if not (math.isfinite(time) and math.isfinite(sent) and sent >= time):
             raise InvalidInput(
