@@ -107,7 +107,7 @@ def test_what_is_raised_in_a_function_that_is_called_back_is_said_once_and_nothi
 
 
 def interrupted(*arguments):
-    """A function of one's own in which Ctrl-C arrives."""
+    """A user function in which Ctrl-C arrives."""
     raise KeyboardInterrupt
 
 

@@ -246,7 +246,7 @@ def make_place(file: Path | None, ending: str = "", option: str = "--out") -> No
 
     if file is None:
         return
-    if ending not in ("", file.suffix):
+    if ending not in ("", file.suffix) and not file.is_dir():
         raise InvalidInput(f"{option} {file}: give a file name that ends in {ending}, such as {file.stem}{ending}.")
     make_folder(file.parent)
     check_replaceable(file)
