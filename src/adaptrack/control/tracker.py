@@ -741,7 +741,7 @@ def _number(name: str, value: Any) -> float:
     if value is None and name in _OPTIONAL:
         return math.nan
     if name not in _TRUTHS:
-        return real("Tracker.step", name, value)
+        return real("Tracker.step", name, value, measured=name != "t")
     if not isinstance(value, bool | np.bool_ | int) or value not in (0, 1):
         raise InvalidInput(f"Tracker.step: {name} = {format_value(value)}: must be True or False.")
     return float(value)
