@@ -426,6 +426,9 @@ def test_a_law_without_positions_holds():
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
+MEASURED = ("t", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "grade")
+
+
 @pytest.mark.parametrize(("call", "message"), [
     (lambda mpc: at.Tracker("informed", SHORT), "must be a Controller"),
     (lambda mpc: at.Tracker(at.published_mpc(CAR, scheduler=lambda _: (10, 2, 1.0, 1.0)), SHORT), "has a scheduler"),
@@ -435,6 +438,9 @@ def test_a_law_without_positions_holds():
     (lambda mpc: at.Tracker(at.Stanley(CAR), SHORT).predicted_path(), "Stanley does not predict: give an MPC"),
     (lambda mpc: at.Tracker(mpc, SHORT).step(math.nan, 0.0, 0.0, 0.0, 10.0), "the time of the call"),
     (lambda mpc: at.Tracker(mpc, SHORT).step(0.0, "0", 0.0, 0.0, 10.0), "must be a number"),
+    (lambda mpc: at.Tracker(mpc, SHORT).step(None, 0.0, 0.0, 0.0, 10.0), "t = None: must be a number[.]"),
+    *((lambda mpc, name=name: at.Tracker(mpc, SHORT).step(**dict.fromkeys(MEASURED, 0.0) | {name: None}),
+       f"{name} = None: must be a number \\(NaN if it was not measured\\)") for name in MEASURED[1:]),
     (lambda mpc: at.Tracker(mpc, SHORT).engage(math.nan), "finite"),
     (lambda mpc: at.yaw_of((0.0,) * 4), "four finite numbers"),
     (lambda mpc: at.yaw_of((1.0, 0.0, 0.0)), "four finite numbers"),

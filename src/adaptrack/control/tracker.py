@@ -30,7 +30,16 @@ from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
-from adaptrack.control.following import DRIVERS, DrivenBy, FollowedPlan, Following, PlannerFollower, Verdict
+from adaptrack.control.following import (
+    DRIVERS,
+    CarPoint,
+    DrivenBy,
+    FollowedPlan,
+    Following,
+    PlannerFollower,
+    Verdict,
+    arm_of,
+)
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
@@ -150,6 +159,8 @@ class Tracker:
         decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
     following : Following, optional
         How trajectories of a planner are followed.
+    sample_point : str
+        Point of the car whose x and y samples have: "centre of mass", "rear axle" or "front axle".
     furthest : float
         From the path, beyond which the status says so.
     record : path, optional
@@ -173,6 +184,7 @@ class Tracker:
         plan: SpeedPlan | None = None,
         speed: SpeedControl | None = None,
         following: Following | None = None,
+        sample_point: CarPoint = "centre of mass",
         furthest: Annotated[Bound, "m"] = 10.0,
         record: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -203,7 +215,9 @@ class Tracker:
             self._speed.estimate_friction(controller)
         self._check = input_check_of(controller)
         planned = None if self._planner is None else self._planner.planned
-        self._load(tracker_of(controller, path, plan, furthest, self._check, planned))
+        kernel = tracker_of(controller, path, plan, furthest, self._check, planned)
+        kernel.settings["sample_arm"] = arm_of("sample_point", sample_point, controller.vehicle)
+        self._load(kernel)
         self._recorder = None if record is None else Recorder(record)
         if self._recorder is not None:
             weakref.finalize(self, self._recorder.close)
@@ -741,7 +755,7 @@ def _number(name: str, value: Any) -> float:
     if value is None and name in _OPTIONAL:
         return math.nan
     if name not in _TRUTHS:
-        return real("Tracker.step", name, value)
+        return real("Tracker.step", name, value, measured=name != "t")
     if not isinstance(value, bool | np.bool_ | int) or value not in (0, 1):
         raise InvalidInput(f"Tracker.step: {name} = {format_value(value)}: must be True or False.")
     return float(value)

@@ -143,12 +143,7 @@ def export_c(
 
 
 # -- texts ------------------------------------------------------------------------------------------------------------
-def _texts(
-    controller: Controller,
-    memory: CMemory,
-    recorded: Recorded,
-    speed: SpeedPart | None,
-) -> dict[str, bytes]:
+def _texts(controller: Controller, memory: CMemory, recorded: Recorded, speed: SpeedPart | None) -> dict[str, bytes]:
     """The files that are text, by their places in the folder."""
     words = {
         "VERSION": __version__, "CONTROLLER": repr(controller),

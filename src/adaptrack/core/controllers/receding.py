@@ -216,15 +216,7 @@ def stand(slot, mpc):
     """Leave the wheels of a standing car at rest."""
     memory, out = mpc.memory[slot], mpc.answer[slot]
     angle = clip(memory.command, mpc.settings.angle_min, mpc.settings.angle_max)
-    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change], out[MPC_ANSWER.held] = (
-        angle,
-        angle - memory.command,
-        0.0,
-    )
-    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations], out[MPC_ANSWER.qp_residual] = (
-        qp.SOLVED,
-        0,
-        0.0,
-    )
+    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change], out[MPC_ANSWER.held] = angle, angle - memory.command, 0.0
+    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations], out[MPC_ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
     out[MPC_ANSWER.at_limit] = 0.0
     _remember(slot, angle, mpc)
