@@ -33,7 +33,7 @@ from adaptrack.control.following import Following
 from adaptrack.control.kalman import Drifts
 from adaptrack.core.planned.records import GIVEN
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
-from adaptrack.drive.planner import Arrivals, PlannedAnswer, PlannedController, SimulatedPlanner, arrival_times
+from adaptrack.drive.planner import Arrivals, PlannedController, SimulatedPlanner, arrival_times
 from adaptrack.road import Arc, Comfort, Line, Road, SpeedPlan, plan_speed
 from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.speed import constant_speed
@@ -248,9 +248,9 @@ class WatchedController(PlannedController):
         """Return a tracker at the start of a drive."""
         self.suspected: list[tuple[float, str]] = []
         self.driven_by: list[str] = []
-        return TRACKERS[self.kind](self) if self.kind in TRACKERS else super().make_tracker()
+        return TRACKERS[self.kind](self)
 
-    def answer(self, sample: Any) -> PlannedAnswer:
+    def answer(self, sample: Any) -> Any:
         """Answer, and note."""
         answer = super().answer(sample)
         now, known = float(sample[TRACKER_SAMPLE.now]), {text for _, text in self.suspected}
@@ -283,6 +283,9 @@ TRACKERS: dict[str, Callable[[WatchedController], Any]] = {
     "autoware-spatial": autoware("spatial"),
     "autoware-temporal": autoware("temporal"),
     "before": lambda controller: PathTracker(controller.controller, controller.speed),
+    "planned": lambda controller: at.Tracker(
+        controller.controller, speed=controller.speed, following=controller.following
+    ),
     "fixed": lambda controller: at.Tracker(
         controller.controller, controller.drive.road, plan=controller.drive.plan, speed=controller.speed
     ),
@@ -292,7 +295,7 @@ TRACKERS: dict[str, Callable[[WatchedController], Any]] = {
 class DirectBraking(WatchedController):
     """A controller that requests the same deceleration directly, as soon as the planner would."""
 
-    def answer(self, sample: Any) -> PlannedAnswer:
+    def answer(self, sample: Any) -> Any:
         """Answer with the request."""
         answer = super().answer(sample)
         if sample[TRACKER_SAMPLE.now] < EVENT:
@@ -302,7 +305,8 @@ class DirectBraking(WatchedController):
         request = answer.longitudinal._replace(
             acceleration=-HARD_BRAKING, force=0.0 if stands else force, hold=-force if stands else 0.0
         )
-        return answer._replace(longitudinal=request)
+        answer.longitudinal = request
+        return answer
 
 
 class Driven(NamedTuple):
@@ -334,8 +338,8 @@ def drive(
     kind: type[WatchedController] = WatchedController, following: Following | None = None,
 ) -> Driven:  # fmt: skip
     """Simulate a drive; planner: None for one fixed path."""
-    controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath(), following)
-    controller.drive, controller.profile = road_drive, group.profile
+    controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath())
+    controller.drive, controller.profile, controller.following = road_drive, group.profile, following or Following()
     controller.kind = "fixed" if planner is None else tracker
     run = at.simulate(at.DualTrack(group.vehicle), controller, road_drive, profile=group.profile, seed=seed)
     return Driven(run, controller, road_drive)
@@ -528,7 +532,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=REPORTED_SEED)
     parser.add_argument("--cars", nargs="+", default=list(CARS), choices=CARS)
     parser.add_argument("--profiles", nargs="+", default=PROFILES)
-    parser.add_argument("--tracker", default="planned", choices=["planned", *TRACKERS])
+    parser.add_argument("--tracker", default="planned", choices=TRACKERS)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
     names = [name for name in CASES if name in arguments.cases or name.partition("-")[0] in arguments.cases]
