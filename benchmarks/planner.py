@@ -54,6 +54,7 @@ HIGHER_LIMIT = 18.0
 SLOWEST = 0.3
 """m/s, to which a hesitating planner slows down."""
 BEND_RADIUS, BEND_SPEED, WIND = 60.0, 10.0, 12.0  # m, m/s, m/s
+STEERING_BIAS = 0.02  # rad
 SWERVE, SWERVE_SECONDS = 1.0, 1.5  # m, s
 LEAST_OFFSET, OFFSET_SECONDS, DETECTION = 0.15, 3.0, 5.0
 """m, s: a true offset from the line that was meant that is to be reported; s, within which."""
@@ -335,13 +336,15 @@ class Driven(NamedTuple):
 
 def drive(
     group: Group, road_drive: at.RoadDrive, planner: Any, seed: int, tracker: str, *, with_drifts: bool = True,
-    kind: type[WatchedController] = WatchedController, following: Following | None = None,
+    kind: type[WatchedController] = WatchedController, following: Following | None = None, bias: float = 0.0,
 ) -> Driven:  # fmt: skip
-    """Simulate a drive; planner: None for one fixed path."""
+    """Simulate a drive; planner: None for one fixed path; bias: rad, of the wheels beyond the command."""
     controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath())
     controller.drive, controller.profile, controller.following = road_drive, group.profile, following or Following()
     controller.kind = "fixed" if planner is None else tracker
-    run = at.simulate(at.DualTrack(group.vehicle), controller, road_drive, profile=group.profile, seed=seed)
+    profile = at.load_profile(group.profile)
+    profile = profile.replace(steering=profile.steering.replace(bias=bias))
+    run = at.simulate(at.DualTrack(group.vehicle), controller, road_drive, profile=profile, seed=seed)
     return Driven(run, controller, road_drive)
 
 
@@ -391,12 +394,14 @@ def mismatch(
 
 
 def hidden_offset(group: Group, seed: int, tracker: str) -> dict[str, float]:
-    """A planner that starts from the pose: what is left in a bend and in side wind, and when it is detected."""
+    """A planner that starts from the pose: what is left in a bend, in side wind and with a bias, and its detection."""
     measures: dict[str, float] = {"lost": 0.0, "met": 0.0, "detected": 0.0, "false": 0.0}
-    for name, road_drive in (("bend", bend(1 if seed % 2 else -1)), ("wind", bend(0, WIND if seed % 2 else -WIND))):
+    side = 1 if seed % 2 else -1
+    for name, road_drive, bias in (("bend", bend(side), 0.0), ("wind", bend(0, side * WIND), 0.0),
+                                   ("bias", bend(0), side * STEERING_BIAS)):  # fmt: skip
         for with_drifts in (True, False):
             planner = SimulatedPlanner(start="pose", seed=seed)
-            driven = drive(group, road_drive, planner, seed, tracker, with_drifts=with_drifts)
+            driven = drive(group, road_drive, planner, seed, tracker, with_drifts=with_drifts, bias=bias)
             last = driven.run.road["offset"][driven.run.t > SECONDS - 15.0]
             measures[f"{name}{'' if with_drifts else ', plain'}"] = abs(float(np.nanmean(last)))
             measures["lost"] += driven.lost
