@@ -168,11 +168,11 @@ def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, flo
     with show.progress("drive", len(pairs)) as advance:
         for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
             paths = None if out is None or places.road is None else PredictedPaths()
-            driven: at.Controller = controller
+            in_loop: at.Controller = controller
             if planner is not None and isinstance(driver, at.SpeedControl):
-                driven = PlannedController(controller, driver, planner)
+                in_loop = PlannedController(controller, driver, planner)
             run = at.simulate(
-                loop.plant, driven, drive, profile=places.profile, driver=driver, perception=perception,
+                loop.plant, in_loop, drive, profile=places.profile, driver=driver, perception=perception,
                 seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
             )  # fmt: skip
             if out is not None:

@@ -30,11 +30,11 @@ from adaptrack.scenario import RoadDrive, Scenario
 Array = NDArray[np.float64]
 Arrivals = Sequence[tuple[PlannedTrajectory, PlannedTrajectory | None]]
 """Trajectories that arrive at a control instant, each with its fallback or None, in their order."""
-BEHIND = 5.0
+BACKWARD_LENGTH = 5.0
 """m, by which a trajectory on the road begins behind the car."""
 SHORTEST_MERGE = 5.0
 """m, on which a trajectory from the pose of the car returns to the road, at least."""
-STOP_DISTANCE, STOP_SPEED = 1.0, 1.0
+PAUSE_DISTANCE, PAUSE_SPEED = 1.0, 1.0
 """m, between the car and its place by the time, and planned speed (m/s), up to which time passes, for a stop to end."""
 _SIGNALS = (*TRACKER_SAMPLE._fields[: TRACKER_SAMPLE.friction], "motion_time")
 """Arguments of `Tracker.step`."""
@@ -89,39 +89,39 @@ class PlannerRun:
     def __init__(self, planner: SimulatedPlanner, drive: RoadDrive) -> None:
         self._planner, self._drive, self._rng = planner, drive, np.random.default_rng(planner.seed)
         self._station, self._plan_time, self._next = 0.0, 0.0, 0.0
-        self._seen = np.full(len(TRACKER_SAMPLE), math.nan)  # the last sample with a pose
-        self._seen[: TRACKER_SAMPLE.yaw_rate] = 0.0, 0.0, *drive.start_pose(), drive.plan.speed[0]
+        self._sample = np.full(len(TRACKER_SAMPLE), math.nan)  # the last sample with a pose
+        self._sample[: TRACKER_SAMPLE.yaw_rate] = 0.0, 0.0, *drive.start_pose(), drive.plan.speed[0]
         self._pending: list[tuple[float, PlannedTrajectory]] = []
 
     def step(self, sample: Array) -> Arrivals:
         """Return the arrivals at the time ``now`` of a sample (`core.tracker.signals.TRACKER_SAMPLE`)."""
-        planner, now = self._planner, float(sample[TRACKER_SAMPLE.now]) + 1e-9
+        planner, end = self._planner, float(sample[TRACKER_SAMPLE.now]) + 1e-9
         if np.isfinite(sample[: TRACKER_SAMPLE.yaw_rate]).all():
-            self._seen = sample
-        while self._next <= now:
+            self._sample = sample
+        while self._next <= end:
             delay = max(planner.delay + planner.jitter * self._rng.uniform(-1.0, 1.0), 0.0)
             self._pending.append((self._next + (delay if self._next > 0.0 else 0.0), self._plan(self._next)))
             self._next += planner.period
         self._pending.sort(key=itemgetter(0))
-        arrivals = [(trajectory, None) for time, trajectory in self._pending if time <= now]
+        arrivals = [(trajectory, None) for time, trajectory in self._pending if time <= end]
         del self._pending[: len(arrivals)]
         return arrivals
 
     def _plan(self, stamp: float) -> PlannedTrajectory:
         """Return a trajectory from a time (s) on."""
-        planner, road, plan, seen = self._planner, self._drive.road, self._drive.plan, sample_of(self._seen, 0)
-        way, drift = seen.speed * (stamp - seen.t), seen.lateral_velocity / max(seen.speed, 1.0)  # until the stamp; rad
-        turn = np.nan_to_num(seen.yaw_rate) * (stamp - seen.t)
-        course = seen.yaw + np.nan_to_num(drift) + 0.5 * turn
-        foot = road.project(seen.x + way * portable.cos(course), seen.y + way * portable.sin(course), self._station)
-        self._station, merge = float(foot.s), max(planner.merge * float(seen.speed), SHORTEST_MERGE)
+        planner, road, plan, sample = self._planner, self._drive.road, self._drive.plan, sample_of(self._sample, 0)
+        elapsed, drift = stamp - sample.t, sample.lateral_velocity / max(sample.speed, 1.0)
+        way, turn = sample.speed * elapsed, np.nan_to_num(sample.yaw_rate) * elapsed
+        course = sample.yaw + np.nan_to_num(drift) + 0.5 * turn
+        foot = road.project(sample.x + way * portable.cos(course), sample.y + way * portable.sin(course), self._station)
+        self._station, merge = float(foot.s), max(planner.merge * float(sample.speed), SHORTEST_MERGE)
         if starts_at_pose := planner.start == "pose":
             begin, elapsed = self._station, self._plan_time + planner.period
             place, speed = plan.motion(elapsed)
-            is_stopping = speed < STOP_SPEED and abs(place - begin) < STOP_DISTANCE
+            is_stopping = speed < PAUSE_SPEED and abs(place - begin) < PAUSE_DISTANCE
             time = elapsed if is_stopping else max(float(arrival_times(plan, np.array([begin]))[0]), self._plan_time)
         else:
-            time, begin = stamp, min(self._station, float(plan.motion(stamp)[0])) - BEHIND
+            time, begin = stamp, min(self._station, float(plan.motion(stamp)[0])) - BACKWARD_LENGTH
             begin = begin if road.closed else max(begin, 0.0)
         self._plan_time = time
         s, pauses = self._places(begin, time + planner.horizon)
@@ -133,10 +133,10 @@ class PlannerRun:
         x, y, yaw = line.x, line.y, line.heading
         if starts_at_pose:
             to_go = np.maximum(1.0 - (s - begin) / merge, 0.0)
-            slope = math.tan(seen.yaw + turn + drift - float(foot.heading)) if math.isfinite(drift) else 0.0
+            slope = portable.tan(sample.yaw + turn + drift - float(foot.heading)) if math.isfinite(drift) else 0.0
             growth = 2.0 * float(foot.offset) / merge + slope
-            offset = (float(foot.offset) + growth * (s - begin)) * to_go**2  # a cubic, that ends along the road
-            slopes = growth * to_go**2 - 2.0 * (float(foot.offset) + growth * (s - begin)) * to_go / merge
+            offset = (float(foot.offset) + growth * (s - begin)) * to_go * to_go  # a cubic, that ends along the road
+            slopes = growth * to_go * to_go - 2.0 * (float(foot.offset) + growth * (s - begin)) * to_go / merge
             x, y = x - offset * portable.sin(yaw), y + offset * portable.cos(yaw)
             yaw = yaw + portable.atan(slopes)
         noise = planner.noise * self._rng.standard_normal((2, s.size))
