@@ -42,7 +42,7 @@ from adaptrack.core.member import CallBack
 from adaptrack.core.planned.records import FALLBACK, PLANNER, Planned
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
-from adaptrack.core.tracker.planner import begin_trajectory, watch_planner
+from adaptrack.core.tracker.planner import begin_trajectory, leave_planner, watch_planner
 from adaptrack.core.tracker.signals import NO_BELIEF, STATUS, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking, tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow
@@ -342,6 +342,7 @@ class Tracker:
         if self._planner is not None:
             self._planner = PlannerFollower(self._planner.following, self.controller)
             self._load(self._kernel._replace(planned=self._planner.planned))
+            leave_planner(self._resident)
 
     def _follow_planner(
         self, trajectory: PlannedTrajectory, fallback: PlannedTrajectory | None, now: float | None
@@ -630,12 +631,12 @@ def packed_plan(plan: SpeedPlan | FollowedPlan | None) -> Any:
 
 def tracking_of(
     controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, part: Any = None,
-    longitudinal: Any = None,
+    longitudinal: Any = None, planned: Any = None,
 ) -> Any:  # fmt: skip
     """A tracker with a compiled controller at its start, engaged (`core.tracker.step.Tracking`).
 
     part: the controller as a part of loops, by default a fresh one; longitudinal: the speed control behind the tracker
-    (`core.tracker.longitudinal.Longitudinal`), None: none. The controller stays as it is.
+    (`core.tracker.longitudinal.Longitudinal`), None: none; planned: as in `tracker_of`. The controller stays as it is.
 
     Raises
     ------
@@ -645,7 +646,7 @@ def tracking_of(
     scheduler = controller.scheduler
     if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
         raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
-    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller))
+    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller), planned)
     tracker_engage(0.0, math.nan, tracker)
     part = controller.part(1) if part is None else part
     if scheduler is not None:

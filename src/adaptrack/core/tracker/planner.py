@@ -274,6 +274,12 @@ def begin_trajectory(arrival, tracker):
     own.driven_by, own.debt, own.is_leaving = arrival.role, 0.0, 0
 
 
+@exported(void(Place(TrackerRecord)))
+def leave_planner(tracker):
+    """Follow no trajectory any more: the tracker goes over to a path without times."""
+    clock.forget_planner(tracker.planned.memory[0])
+
+
 @exported(int64(float64, Place(TrackerRecord)))
 def watch_planner(now, tracker):
     """Whether the planner has fallen silent by a time (s): a fallback is now to be taken, else the car stops."""
