@@ -42,7 +42,8 @@ class Answer(ctypes.Structure):
     _fields_ = (("command", ctypes.c_double), ("offset", ctypes.c_double), ("heading_error", ctypes.c_double),
                 ("station", ctypes.c_double), ("status", ctypes.c_int), ("belief", ctypes.c_int),
                 ("at_bound", ctypes.c_int), ("suspect", ctypes.c_uint64),
-                ("first_top_speed", ctypes.c_double))  # fmt: skip
+                ("first_top_speed", ctypes.c_double), ("late", ctypes.c_double),
+                ("driven_by", ctypes.c_int))  # fmt: skip
 
 
 class Plan(ctypes.Structure):

@@ -70,6 +70,7 @@ from .control.estimation import (
     list_estimators as list_estimators,
     register_estimator as register_estimator,
 )
+from .control.following import Following as Following
 from .control.kalman import Drifts as Drifts, KalmanFilter as KalmanFilter, SensorNoise as SensorNoise
 from .control.models import (
     PathModel as PathModel,
@@ -124,6 +125,7 @@ from .road import (
     plan_speed as plan_speed,
     road_through as road_through,
 )
+from .road.planned_trajectory import PlannedTrajectory as PlannedTrajectory
 from .road.road_ahead import RoadAhead as RoadAhead
 from .scenario import (
     RoadDrive as RoadDrive,

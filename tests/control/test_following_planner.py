@@ -1,15 +1,13 @@
 """A tracker that follows a planner: lines that are joined, clocks, silence, and plans that hide the error."""
 
-
-
 import numpy as np
 import pytest
-from foreign_loop import drive, on_road
 
 import adaptrack as at
 from adaptrack.control.following import DrivenBy, Following, Verdict
 from adaptrack.control.tracker import Tracker
-from adaptrack.road import PlannedTrajectory
+from adaptrack.road.planned_trajectory import PlannedTrajectory
+from foreign_loop import drive, on_road
 
 pytestmark = pytest.mark.kernels
 
@@ -36,7 +34,9 @@ def ahead(station, stamp, *, aside=0.0, noise=None, seconds=4.0, mirrored=1.0):
 
 def straight(start, stamp=0.0, y=0.0, speed=10.0, seconds=4.0, **more):
     t = np.arange(0.0, seconds + 0.05, 0.1)
-    return PlannedTrajectory(t, start + speed * t, np.full(t.size, y), speed=np.full(t.size, speed), stamp=stamp, **more)
+    return PlannedTrajectory(
+        t, start + speed * t, np.full(t.size, y), speed=np.full(t.size, speed), stamp=stamp, **more
+    )
 
 
 def stopping(start, y=0.0, speed=10.0, braking=3.0):
@@ -124,7 +124,9 @@ def test_a_mirrored_planner_is_followed_by_mirrored_commands():
     commands = []
     for side in (1.0, -1.0):
         tracker = make_tracker()
-        on_straight(tracker, 4, y=0.1 * side, trajectory=lambda t, x, side=side: straight(x, t, y=0.2 * side * (t > 0.1)))
+        on_straight(
+            tracker, 4, y=0.1 * side, trajectory=lambda t, x, side=side: straight(x, t, y=0.2 * side * (t > 0.1))
+        )
         commands.append(on_straight(tracker, 4, start=4, y=0.1 * side)[-1].command)
     assert commands[0] != 0.0
     assert commands[1] == pytest.approx(-commands[0], abs=1e-9)

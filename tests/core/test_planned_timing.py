@@ -5,8 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.core.planned.records import PlannedSpeeds
+from adaptrack.core.layout import empty
+from adaptrack.core.planned.records import FALLBACK, NOBODY, PLANNER, STOP, Planned, PlannedSpeeds
 from adaptrack.core.planned.timing import DEAD_ZONE, MAX_CATCH_UP, keep_time, place_at, time_at
+from adaptrack.core.speed.speed_control import SPEED_MEMORY, SPEED_SAMPLE
+from adaptrack.core.tracker import longitudinal
 from planned_speeds import GAIN, PERIOD, planned, speeds_of
 
 pytestmark = pytest.mark.kernels
@@ -180,3 +183,29 @@ def test_compiled_kernels_give_the_bits_of_plain_python(rng):
             keep_time(time, station, speed, planners[0])
             keep_time.function(time, station, speed, planners[1])
             assert planners[0].memory.tobytes() == planners[1].memory.tobytes()
+
+
+# -- what the speed control takes from it ------------------------------------------------------------------------------
+@pytest.mark.parametrize("driver", [NOBODY, PLANNER, FALLBACK, STOP])
+def test_the_speed_control_keeps_the_time_of_a_planner_and_its_fallback_and_stops_without_both(driver):
+    planner, sample, memory = planned(STOP_AND_GO, speed_limit=12.0), SPEED_SAMPLE.new(1)[0], SPEED_MEMORY.new(1)[0]
+    own = planner.memory[0]
+    own.driven_by, sample.is_guided = driver, 1.0
+    keep_time(8.0, 5.0, 10.0, planner)
+    longitudinal._keep_planned_time(planner, sample, memory)
+    is_followed = driver in (PLANNER, FALLBACK)
+    assert sample.is_guided == (driver != STOP)
+    assert sample.is_timed == is_followed
+    assert sample.correction == pytest.approx(1.5 if is_followed else 0.0)
+    assert sample.correction_limit == 12.0
+    assert memory.is_released == 0
+    keep_time(16.5, 40.0, 0.0, planner)
+    longitudinal._keep_planned_time(planner, sample, memory)
+    assert memory.is_released == is_followed
+
+
+def test_without_a_planner_the_speed_control_is_given_nothing():
+    sample, memory = SPEED_SAMPLE.new(1, is_guided=1.0), SPEED_MEMORY.new(1)
+    before = sample.tobytes(), memory.tobytes()
+    longitudinal._keep_planned_time(empty(Planned), sample[0], memory[0])
+    assert (sample.tobytes(), memory.tobytes()) == before

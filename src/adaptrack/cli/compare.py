@@ -44,6 +44,7 @@ class CompareOptions:
     )
     profile: list[str] | None = option("NAME", "See `list profiles`, or a .toml file; may be repeated.")
     driver: list[str] | None = option("NAME", "Driver of the speed, by forces: see `list drivers`; may be repeated.")
+    planner: str | None = options.planner_option()
     budget: int | None = option("N", "Simulated runs per tuning search; 0: no search.", min=0)
     length: float | None = options.road_length_option()
     seeds: int | None = option("N", "Number of noise seeds in the test.", hidden=True, min=1, max=1000)
@@ -65,6 +66,7 @@ class CompareOptions:
             "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
             "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
             "prescribed_speed": self.prescribed_speed or None, "drivers": self.driver,
+            "planner": self.planner,
         }  # fmt: skip
         return {key: value for key, value in values.items() if value is not None}
 
@@ -144,6 +146,7 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
     unused = {
         "ROAD": settings.road, "--tuning": settings.tuning, "--config": settings.config, "--length": settings.length,
         "--seeds": settings.seeds, "--budget": settings.budget, "--driver": settings.driver,
+        "--planner": settings.planner,
     }  # fmt: skip
     options_without_use = [option for option, value in unused.items() if value]
     if options_without_use:

@@ -32,6 +32,7 @@ class DriveSettings:
 
     prescribed_speed: bool = options.prescribed_speed_flag()
     speed_control: bool = flag("Road: control the speed, with governor and stops.")
+    planner: str | None = options.planner_option()
     period: float | None = option("S", "Control period (s); default: the profile's.", hidden=True)
     learn: bool = flag("Learn steering delay and bias, and tyre stiffness.")
     learned: Path | None = option("FILE", "Like --learn; start from this TOML file and update it.")
@@ -135,16 +136,15 @@ def _make_driver(
     Raises
     ------
     InvalidInput
-        When a speed control is requested without a road, or with a prescribed speed.
+        When a speed control or a planner is requested without a road, or with a prescribed speed.
     """
     from adaptrack.drive.world import ROAD_DRIVER
 
-    if not settings.speed_control:
+    if not settings.speed_control and settings.planner is None:
         return None if settings.prescribed_speed else ROAD_DRIVER
     if settings.prescribed_speed or loop.places.road is None:
-        raise InvalidInput(
-            "--speed-control: moves a car along a road by forces: name a road, without --prescribed-speed."
-        )
+        name = "--speed-control" if settings.planner is None else "--planner"
+        raise InvalidInput(f"{name}: moves a car along a road by forces: name a road, without --prescribed-speed.")
     return at.SpeedControl(loop.car) if friction is None else at.SpeedControl(loop.car, friction=friction)
 
 
@@ -154,20 +154,25 @@ def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, flo
     friction: interval that driver and schedules assume, these its lower end; None for that of the road.
     """
     from adaptrack.base.files import safe_names
+    from adaptrack.drive.planner import PlannedController, make_planner
     from adaptrack.drive.predicted_paths import PredictedPaths
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
     perception = None if friction is None else at.Perception(friction=friction[0])
     driver = _make_driver(settings, loop, friction)
+    planner = None if settings.planner is None else make_planner(settings.planner)
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
     where = f"their trajectories are in {out}, without a page" if out else "nothing was written"
     with show.progress("drive", len(pairs)) as advance:
         for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
             paths = None if out is None or places.road is None else PredictedPaths()
+            driven: at.Controller = controller
+            if planner is not None and isinstance(driver, at.SpeedControl):
+                driven = PlannedController(controller, driver, planner)
             run = at.simulate(
-                loop.plant, controller, drive, profile=places.profile, driver=driver, perception=perception,
+                loop.plant, driven, drive, profile=places.profile, driver=driver, perception=perception,
                 seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
             )  # fmt: skip
             if out is not None:
@@ -307,7 +312,7 @@ def _comparable_road(arguments: DriveOptions) -> str | None:
     unknown = (place.laps, place.wind, place.start_offset, arguments.car.tyre, settings.period, settings.learned)
     if option_words(route) or any(value is not None for value in unknown) or option_words(arguments.published):
         return None
-    if settings.speed_control or settings.learn:
+    if settings.speed_control or settings.planner is not None or settings.learn:
         return None
     return f"{place.names[0]}{f':{seed}' if seed else ''}{'' if lateral is None else f'@{lateral:g}'}"
 

@@ -178,6 +178,12 @@ assumed_friction_option = partial(
 lateral_acceleration_option = partial(option, "A", "Lateral acceleration limit (m/s²); default: 3.")
 road_length_option = partial(option, "M", "Length of generated roads (m); default: 2000.", hidden=True)
 noise_seed_option = partial(option, None, "Seed of the sensor noise.", 0, hidden=True)
+planner_option = partial(
+    option,
+    "SETTINGS",
+    "Road: follow the trajectories of a simulated planner, such as period=0.1,delay=0.3,jitter=0.05,start=pose.",
+    hidden=True,
+)
 prescribed_speed_flag = partial(flag, "Follow the planned speed exactly, without forces along the road.", hidden=True)
 page_option = partial(option, "FOLDER", "Folder for the page and its pictures.")
 json_flag = partial(flag, "Print the result as JSON.", names=["--json"])

@@ -17,7 +17,9 @@ from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, find_data, list_data, load_vehicle
 from adaptrack.comparison.table import WITH
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.drivers import make_driver
+from adaptrack.drive.planner import make_planner
 from adaptrack.drive.world import ROAD_DRIVER, Driver
 from adaptrack.road import Comfort, Stop, load_road, plan_speed
 from adaptrack.road.generate import ROAD_KINDS
@@ -97,6 +99,11 @@ class ComparisonConfig(Record):
         description="drivers that move the cars, each with every controller, see `adaptrack list drivers`, with "
         "options as in `speed-control:friction=0.6:0.9`; empty for the default driver",
     )
+    planner: str = Field(
+        default="",
+        description="settings of a simulated planner that all controllers follow, each with a speed control, such as "
+        "`period=0.1,delay=0.3,start=pose`; empty: they follow the road",
+    )
     frictions: Annotated[tuple[Friction, ...], LISTED] = Field(
         default=(),
         description="true frictions of the test roads, not used by plans; controllers and drivers assume 0.9",
@@ -125,7 +132,12 @@ class ComparisonConfig(Record):
         if self.drivers and (self.budget or self.prescribed_speed):
             raise ValueError("drivers: need budget = 0 and no prescribed_speed, which is the driver 'prescribed'.")
         for driver in self.drivers:
-            make_driver(driver, load_setting(self.cars[0], self.profiles[0]).car)
+            mover = make_driver(driver, load_setting(self.cars[0], self.profiles[0]).car)
+            if self.planner and not isinstance(mover, SpeedControl):
+                raise ValueError(f"planner: does not drive with {driver!r}; its drivers are speed controls.")
+        if self.planner and (self.budget or self.prescribed_speed):
+            raise ValueError("planner: needs budget = 0 and no prescribed_speed.")
+        make_planner(self.planner)
         return self
 
     @property

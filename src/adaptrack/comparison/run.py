@@ -43,8 +43,10 @@ from adaptrack.comparison.lane_change import iso_3888_2
 from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.control.controllers import MPC, About, Controller
 from adaptrack.control.estimation import Perception
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core.library import kernels_hash
 from adaptrack.drive.drivers import check_forces, make_driver
+from adaptrack.drive.planner import PlannedController, make_planner
 from adaptrack.drive.speed_measures import SPEED_MEASURES
 from adaptrack.scenario import RoadDrive
 from adaptrack.tuning.constant import load_tuning, search_constant
@@ -144,6 +146,9 @@ def _test_rows(
 ) -> list[dict[str, Any]]:
     """Return one row for each test run: road, noise seed and `MEASURES`, with a driver `SPEED_MEASURES` as well."""
     measures = (*MEASURES, *SPEED_MEASURES) if cell.driver else MEASURES
+    if task.planner:
+        speed = test.driver if isinstance(test.driver, SpeedControl) else SpeedControl(controller.vehicle)
+        controller = PlannedController(controller, speed, make_planner(task.planner))
     rows = measure_runs(test, controller, task.seeds, outline, with_driver=bool(cell.driver))
     return [
         {"road": road, "seed": seed, **{name: row[name] for name in measures}}
@@ -186,7 +191,7 @@ def _swarm(budget: int, drives_per_tuning: int) -> SwarmSettings:
 
 def _entry_speed(task: ComparisonConfig, cell: Cell, properties: About, controller: Controller) -> float | None:
     """Return the highest clean entry speed into ISO 3888-2 (m/s), 0 if none is clean, None if it is not driven."""
-    is_driven = task.entry_speeds and properties.compiled and not (cell.driver or cell.friction)
+    is_driven = task.entry_speeds and properties.compiled and not (cell.driver or cell.friction or task.planner)
     test = _obstacle(cell.car, cell.profile) if is_driven else None
     if test is None:
         return None

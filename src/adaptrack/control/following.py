@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from enum import StrEnum
 from typing import Any, Literal, NamedTuple
@@ -14,16 +13,18 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Controller
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.kernel import OK
+from adaptrack.core.maths import portable
 from adaptrack.core.planned import condition, records
 from adaptrack.core.planned.meant_line import FAR_PLACES
+from adaptrack.core.planned.records import NODE
 from adaptrack.core.roads.path import line_in
 from adaptrack.core.tracker import planner as kernel
-from adaptrack.road import Comfort, Line, PlannedTrajectory, Road, Stop
+from adaptrack.road import Comfort, Line, Road, Stop
+from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.road.table import Pieces
 
 Array = NDArray[np.float64]
-_log = logging.getLogger("adaptrack")
 
 
 class Verdict(StrEnum):
@@ -92,11 +93,6 @@ class FollowedPlan(NamedTuple):
     comfort: Comfort
 
 
-def sentence_of(status: int, entry: int, trajectory: Any) -> str:
-    """Say what is wrong with a trajectory."""
-    return f"status {status} at point {entry}"
-
-
 class Taken(NamedTuple):
     """What became of a trajectory, and what is followed of it."""
 
@@ -141,7 +137,7 @@ class PlannerFollower:
     @staticmethod
     def check_fallback(fallback: PlannedTrajectory) -> None:
         """Refuse a fallback that does not end at rest."""
-        if not fallback.ends_at_rest:
+        if not len(fallback.nodes) or fallback.nodes[-1, NODE.leave] < math.inf:
             raise InvalidInput("Tracker.follow: fallback: it must end at rest, with a speed of 0 at its last point.")
 
     def take(self, trajectory: PlannedTrajectory, now: float, role: int, friction: float, tracker: Any) -> Taken:
@@ -153,14 +149,13 @@ class PlannerFollower:
             When the trajectory is impossible.
         """
         given, kept = trajectory.given, len(self.planned.points)
-        length = float(np.hypot(*np.diff(given[:, 1:3], axis=0).T).sum()) if len(given) > 1 else 0.0
-        if not math.isfinite(length):
-            length = 0.0
+        length = float(portable.hypot(*np.diff(given[:, 1:3], axis=0).T).sum())
         memory = np.empty(kernel.trajectory_words(len(given), kept, length))
-        parts, arrival = np.empty(len(kernel.PARTS), np.int64), kernel.Arrival(trajectory.stamp, now, role, int(trajectory.urgent))
-        verdict, status, entry = kernel.take_trajectory(given, arrival, friction, tracker, memory, parts)
+        parts = np.empty(len(kernel.PARTS), np.int64)
+        arrival = kernel.Arrival(trajectory.stamp, now, role, int(trajectory.urgent))
+        verdict, status, _ = kernel.take_trajectory(given, arrival, friction, tracker, memory, parts)
         if status not in (OK, condition.REVERSE_AHEAD):
-            raise InvalidInput(f"Tracker.follow: {sentence_of(status, entry, trajectory)}")
+            raise InvalidInput(f"Tracker.follow: {trajectory!r}: no line can be made of its places: they fold back.")
         if VERDICTS[verdict] is not Verdict.TAKEN:
             return Taken(VERDICTS[verdict], arrival)
         points, speeds, stops, speeds_at, room, stops_at, path_at = parts.tolist()

@@ -38,7 +38,7 @@ from adaptrack.core.synthesis.car import resistance, usable_friction
 from adaptrack.core.tracker import longitudinal as tracked_kernel
 from adaptrack.core.tracker.records import LONGEST_GAP
 from adaptrack.core.tracker.signals import STATUS
-from adaptrack.road import Comfort, Road, SpeedPlan
+from adaptrack.road import Comfort, Road
 from adaptrack.road.speed import packed, steering_limit
 
 Array = NDArray[np.float64]

@@ -46,7 +46,8 @@ from adaptrack.core.tracker.planner import begin_trajectory, leave_planner, watc
 from adaptrack.core.tracker.signals import NO_BELIEF, STATUS, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking, tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow
-from adaptrack.road import PlannedTrajectory, Road, SpeedPlan, Stop
+from adaptrack.road import Road, SpeedPlan, Stop
+from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.road_ahead import RoadAhead, pack_roads, stacked
 
 Array = NDArray[np.float64]
@@ -194,9 +195,9 @@ class Tracker:
         if following is not None or path is None:
             self._planner = PlannerFollower(following or Following(), controller)
         if speed is not None:
-            way = (path, plan) if self._planner is None or plan is not None else self._planner.standing_plan()
+            way: Any = (path, plan) if self._planner is None or plan is not None else self._planner.standing_plan()
             self._speed = SpeedController(
-                speed, *way, self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
+                speed, way[0], way[1], self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
             )
             self._speed.estimate_friction(controller)
         self._check = input_check_of(controller)
@@ -207,8 +208,10 @@ class Tracker:
             weakref.finalize(self, self._recorder.close)
         self.engage()
 
-    path: Road | None = None
-    plan: SpeedPlan | FollowedPlan | None = None
+    path: Any = None
+    """`Road` that is followed; None: none yet"""
+    plan: Any = None
+    """`SpeedPlan` along it, of a trajectory a `FollowedPlan`; None: none"""
 
     def _set_path(self, path: Any, plan: SpeedPlan | None) -> None:
         if not isinstance(path, Road):
@@ -336,6 +339,7 @@ class Tracker:
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
         self._call(tracker_apply)
+        return None
 
     def _leave_planner(self) -> None:
         """Follow no trajectory any more."""
@@ -351,6 +355,7 @@ class Tracker:
         if self._planner is None:
             self._planner = PlannerFollower(Following(), self.controller)
             self._load(self._kernel._replace(planned=self._planner.planned))
+            leave_planner(self._resident)
         if now is None:
             now = float(self._kernel.memory[0].last)
         if not math.isfinite(now):

@@ -260,7 +260,7 @@ class ClosedLoop:
         """Let a driver of your own request the forces of the present period."""
         memory = self._drives[0]
         call = PluginCall(f"driver {type(self.world.driver).__name__}: step()", _REQUESTS)
-        request = self._request = call(
+        request = call(
             self._follower.step,  # type: ignore[union-attr]
             float(memory["station_estimate"]), float(memory["speed"]),
             float(self.run.measured[0, MEASUREMENT.yaw_rate]),
@@ -271,7 +271,12 @@ class ClosedLoop:
             raise call.refusal(request) from None
         if not (math.isfinite(force) and 0.0 <= hold < math.inf):
             raise call.refusal(request)
-        memory["requested_force"], memory["requested_hold"] = force, hold
+        self.request_forces(request)
+
+    def request_forces(self, request: SpeedCommand) -> None:
+        """Request the forces of the present period, for a run whose driver is in Python."""
+        self._request, memory = request, self._drives[0]
+        memory["requested_force"], memory["requested_hold"] = request.force, request.hold
 
     # -- a run --------------------------------------------------------------------------------------------------------
     def roll_on(self, periods: int) -> None:

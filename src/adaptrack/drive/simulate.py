@@ -29,9 +29,10 @@ from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.failure import DISTANCE, FailureLimits, failure_of
+from adaptrack.drive.planner import PlannedController
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory, provenance
-from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World, warn_once
+from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, RequestedForces, World, warn_once
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
@@ -98,7 +99,7 @@ def simulate(
     plant
         Simulated car.
     controller
-        Controller; it is reset before the run.
+        Controller; it is reset before the run. A `PlannedController` also moves the car, without a ``driver``.
     scenario
         Scenario or road drive.
     profile
@@ -124,17 +125,18 @@ def simulate(
     InvalidInput
         When arguments do not match each other.
     """
-    world = World.of(plant, controller, profile, driver, perception, failure)
+    moves = isinstance(controller, PlannedController)
+    world = World.of(plant, controller, profile, RequestedForces() if moves else driver, perception, failure)
     has_no_vy = not controller.replaces_vy and math.isinf(world.profile.noise_vy)
     controller.reset()
+    if isinstance(controller, PlannedController):
+        controller.begin(scenario)
     controller.user = object()  # a tracker with this controller refuses to go on
     called = CalledController(controller)
 
     def step() -> None:
         """Step the controller at an instant."""
         k, instant = loop.instant, loop.sensed
-        if loop.request is not None:
-            record.requests[k] = _request_row(loop.request, loop.speed_control)
         if has_no_vy:
             instant.measured[MEASUREMENT.vy] = 0.0  # the car has no sensor for the lateral velocity
         before = loop.command
@@ -147,6 +149,10 @@ def simulate(
         record.times[k] = time.perf_counter() - start_time
         answer = called.write(answered, before, loop.answer)
         record.record(k, answer)
+        if moves:
+            loop.request_forces(answered.longitudinal)
+        if loop.request is not None:
+            record.requests[k] = _request_row(loop.request, loop.speed_control)
         if predicted is not None and not answer.held:
             predicted.record(k * world.period, controller, road_ahead.get("road"))
         if not math.isfinite(answer.angle):
@@ -242,7 +248,7 @@ _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
 _UNITS = {
     "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "diagnostics.dead_reckoning": "s", "road.station": "m",
     "road.offset": "m", "road.heading_error": "rad", "road.curvature": "1/m", "road.planned_speed": "m/s",
-    "diagnostics.longitudinal_acceleration": "m/s^2",
+    "diagnostics.longitudinal_acceleration": "m/s^2", "diagnostics.late": "s",
     **{f"diagnostics.{name}": unit for name, unit in _REQUEST_UNITS.items()},
     **{f"diagnostics.{name}{end}": unit for end in ("", "_sigma") for name, unit in (
         ("belief_lag", "s"), ("belief_dead_time", "s"), ("belief_delay", "s"), ("belief_bias", "rad"),

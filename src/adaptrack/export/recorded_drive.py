@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,13 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.core.maths import portable
-from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.signals import MEASURED, TRACKED
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.failure import find_failure
+from adaptrack.drive.sampled_controller import SampledController
 from adaptrack.drive.simulate import simulate
 from adaptrack.export.tracking import SpeedPart, Twin
 from adaptrack.road import Along, Road, SpeedPlan, Stop, plan_speed, road_through
-from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.road.speed import constant_speed
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import Profile
@@ -290,35 +289,17 @@ def _bends(path: Road, tightest: float) -> Array:
     return np.array([float(end.x), float(end.y)]) + np.cumsum(steps, axis=0)
 
 
-class _Driver(Controller):
+class _Driver(SampledController):
     """A tracker as the controller of a simulated drive; what it is given and gives is kept."""
-
-    period: float
-    sees_all_sensors = True
 
     def __init__(self, controller: Controller, twin: Twin, seconds: float) -> None:
         self.period, self.limits, self.vehicle = controller.period, controller.limits, controller.vehicle
-        self._twin, self._instant, self._seconds = twin, 0, seconds
+        self._twin, self._seconds = twin, seconds
         self.samples: list[Array] = []
         self.answers: list[Array] = []
 
-    def step(
-        self, state: Any, speed: float, reference: Any, variables: Any = None, road: RoadAhead | None = None
-    ) -> float:
-        time, measured = self._instant * self.period, np.asarray(state, dtype=float)
-        assert road is not None
-        age = float(measured[MEASUREMENT.pose_age])
-        age = age if math.isfinite(age) else 0.0
-        foot = road.road.at(road.station - age * speed)
-        offset, yaw = float(measured[MEASUREMENT.y]), float(foot.heading) + float(measured[MEASUREMENT.yaw])
-        x, y = float(foot.x) - offset * portable.sin(foot.heading), float(foot.y) + offset * portable.cos(foot.heading)
-        signals = [float(measured[i]) for i in (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration)]
-        sample = np.full(len(CALL), math.nan)
-        sample[: CALL.friction] = time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle]
-        motion_age = float(measured[MEASUREMENT.motion_age])
-        sample[CALL.motion_time] = time - (motion_age if math.isfinite(motion_age) else 0.0)
-        self._instant += 1
-        return self.call(sample) if time < self._seconds else 0.0
+    def answer(self, sample: Array) -> float:
+        return self.call(sample) if sample[CALL.now] < self._seconds else 0.0
 
     def call(self, sample: Array) -> float:
         """Keep a call, and return its command (rad)."""

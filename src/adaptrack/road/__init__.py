@@ -5,7 +5,6 @@ from adaptrack.road.fit import fit_road, road_through, smooth_road
 from adaptrack.road.generate import ROAD_KINDS, generate_road
 from adaptrack.road.load import load_road
 from adaptrack.road.opendrive import read_opendrive
-from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.road import Jump, Projection, Road
 from adaptrack.road.segments import Arc, Clothoid, Cubic, Line, Points, Pose
 from adaptrack.road.speed import Comfort, SpeedPlan, Stop, plan_speed

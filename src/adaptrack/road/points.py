@@ -149,13 +149,13 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
         When it is no such table; the message names the line and the remedy.
     """
     where = os.fspath(path)
-    header, rows = _header(where, *table_lines(where, read_bytes(path), "strict"))
+    header, rows = split_header(where, *table_lines(where, read_bytes(path), "strict"))
     if len(rows) < MIN_PATH_POINTS:
         raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {MIN_PATH_POINTS} points.")
-    names = _names(header, len(_cells(rows[0][1])), speed_column)
+    names = _names(header, len(split_cells(rows[0][1])), speed_column)
     numbers = np.empty((len(rows), len(names)))
     for k, (line, text) in enumerate(rows):
-        cells = _cells(text)
+        cells = split_cells(text)
         if len(cells) != len(names):
             raise ConfigError(f"{where}, line {line}: {len(cells)} columns, where {len(names)} are expected.")
         numbers[k] = [
@@ -209,22 +209,22 @@ def _read_widths(where: str, header: _Header, columns: dict[str, Array]) -> list
 
 def _notes(titles: Sequence[str], names: Sequence[str]) -> list[str]:
     omitted = [title for title, name in zip(titles, names, strict=False) if title and not name]
-    speeds = [t for t in omitted if re.fullmatch(SPEED, _plain(t)) and not re.search(FOREIGN_SPEED, t.lower())]
+    speeds = [t for t in omitted if re.fullmatch(SPEED, plain_title(t)) and not re.search(FOREIGN_SPEED, t.lower())]
     notes = [f"columns left out: {printable(', '.join(omitted))}"] if omitted else []
     if speeds and "speed_limit" not in names:
         notes.append(f"to drive at the speeds of a column: --speed-column {printable(speeds[0])}")
     return notes
 
 
-def _header(where: str, lines: NumberedLines, remarks: NumberedLines) -> tuple[_Header, NumberedLines]:
-    """The header, and the lines of numbers."""
+def split_header(where: str, lines: NumberedLines, remarks: NumberedLines) -> tuple[_Header, NumberedLines]:
+    """The header, in the first line or the remarks above it, and the lines of numbers."""
     if not lines:
         return _Header(where, []), lines
     line, text = lines[0]
-    if not is_number(_cells(text)[0].replace(",", ".")):
-        return _Header(f"{where}, line {line}", _cells(text)), lines[1:]
+    if not is_number(split_cells(text)[0].replace(",", ".")):
+        return _Header(f"{where}, line {line}", split_cells(text)), lines[1:]
     above = [remark for remark in remarks if remark[0] < line]
-    return _commented_header(where, above, len(_cells(text)), _separator(text.strip()) is None), lines
+    return _commented_header(where, above, len(split_cells(text)), _separator(text.strip()) is None), lines
 
 
 def _commented_header(where: str, remarks: NumberedLines, columns: int, blanks: bool) -> _Header:
@@ -235,12 +235,12 @@ def _commented_header(where: str, remarks: NumberedLines, columns: int, blanks: 
     """
     complete, incomplete = [], []
     for line, plain in remarks:
-        titles = _cells(plain)
+        titles = split_cells(plain)
         header = _Header(f"{where}, line {line}", titles, commented=True)
         fits = len(titles) == columns
         if fits and {"x", "y"} <= {_column_of(title) for title in titles}:
             complete.append(header)
-        elif len(titles) > 1 and all(re.fullmatch(NAME, _plain(title)) for title in titles):
+        elif len(titles) > 1 and all(re.fullmatch(NAME, plain_title(title)) for title in titles):
             incomplete += [header] if _separator(plain) or (fits and blanks) else []
     return next(reversed(complete or incomplete), _Header(where, []))
 
@@ -250,19 +250,26 @@ def _separator(content: str) -> str | None:
     return next((mark for mark in ";\t|," if mark in content), None)
 
 
-def _cells(content: str) -> list[str]:
+def split_cells(content: str) -> list[str]:
+    """The cells of a line, without blanks and quotation marks around them."""
     content = content.strip()
     return [cell.strip().strip('"') for cell in content.split(_separator(content))]
 
 
-def _plain(title: str) -> str:
+def plain_title(title: str) -> str:
     """A column's title without its unit."""
     return re.sub(r"\s*[\[(].*", "", title).strip().lower()
 
 
+def bracketed_unit(title: str) -> str:
+    """The unit in brackets in a column's title, in lower case; empty without one."""
+    unit = re.search(r"[\[(]\s*([^\])]*?)\s*[\])]", title)
+    return unit[1].lower() if unit else ""
+
+
 def _column_of(title: str) -> str | None:
     """The quantity that a column's title names."""
-    return next((name for name, titles in POINT_COLUMNS.items() if _plain(title) in titles), None)
+    return next((name for name, titles in POINT_COLUMNS.items() if plain_title(title) in titles), None)
 
 
 def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
@@ -276,7 +283,7 @@ def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
             )
         return list(WITHOUT_HEADER[count])
     names = [_column_of(title) or "" for title in titles]
-    if {_plain(title) for title in titles} & set(DEGREE_COLUMNS):
+    if {plain_title(title) for title in titles} & set(DEGREE_COLUMNS):
         raise ConfigError(f"{where}: latitude and longitude; convert them to x (east) and y (north) in m first.")
     if speed_column is not None:
         names = ["" if name == "speed_limit" else name for name in names]
@@ -299,7 +306,7 @@ def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
 def _place_of(speed_column: str, header: _Header) -> int:
     """The place of the column that the caller names."""
     name = speed_column.strip().lower()
-    places = [k for k, title in enumerate(header.titles) if name in (title.lower(), _plain(title))]
+    places = [k for k, title in enumerate(header.titles) if name in (title.lower(), plain_title(title))]
     if len(places) != 1:
         hint = "there are two of them." if places else did_you_mean(speed_column, header.titles)
         raise ConfigError(f"{header.where}: no single column is {speed_column!r}: {hint}")
@@ -315,8 +322,7 @@ def _check_unit(where: str, title: str, name: str) -> None:
             f"{where}: column {printable(title)!r}: a grade must be dz/ds; divide per cent by 100 and name the column "
             "'grade'."
         )
-    unit = re.search(r"[\[(]\s*([^\])]*?)\s*[\])]", title)
-    if name and unit and unit[1].lower() not in ("", *COLUMN_UNITS[name]):
+    if name and bracketed_unit(title) not in ("", *COLUMN_UNITS[name]):
         raise ConfigError(f"{where}: column {printable(title)!r}: must be in {COLUMN_UNITS[name][0]}; convert it.")
 
 

@@ -35,9 +35,9 @@ REST_SPEED, MIN_REST = 0.05, 0.25
 """m/s, s: a slower car is at rest, if for so long."""
 TANGENT_BASE, YAW_BASE = 0.5, 2.0
 """m, from a place at least to those that show its tangent; from a place to the next with which its yaw is compared."""
-MAX_YAW_ERROR, AXLE_REACH = math.tan(math.radians(15.0)), 3.0
-"""Tangent of the largest angle between yaw and tangent, in addition to the one of an axle that lies so far (m) behind
-the tracked point and moves along the yaw."""
+MAX_YAW_ERROR, AXLE_REACH = 0.268, 3.0
+"""Tangent of 15 degrees, the largest angle between yaw and motion, in addition to the angle that an axle causes which
+lies so far (m) behind the tracked point and moves along the yaw."""
 MIN_SLIP_COSINE = 0.8
 """Least cosine of the angle between the yaw and the motion of the tracked point; a larger angle is due to noise."""
 MAX_JUMP, JUMP_ACCELERATION = 0.5, 15.0
@@ -233,9 +233,9 @@ def _nodes_to_cusp(work, count):
 # -- headings ---------------------------------------------------------------------------------------------------------
 @inlined
 def _mirrored(work, k, j):
-    """1/m, 1/m: the vector from a node to another one over the square of its length; 0 if the other is none."""
+    """1/m, 1/m: the vector from a node to another one over the square of its length; 0 without one."""
     x, y, length = _chord(work, k, max(j, 0))
-    return (x / square(length), y / square(length)) if j >= 0 and j != k else (0.0, 0.0)
+    return (x / square(length), y / square(length)) if j >= 0 and length > 0.0 else (0.0, 0.0)
 
 
 @inlined
@@ -287,7 +287,7 @@ def _turning(work, first, last):
     before, after = work[first], work[last]
     turn = _length(after[_WORK.cos] - before[_WORK.cos], after[_WORK.sin] - before[_WORK.sin])
     left = before[_WORK.cos] * after[_WORK.sin] - before[_WORK.sin] * after[_WORK.cos]
-    return math.copysign(turn, left) / length if last > first else 0.0
+    return math.copysign(turn, left) / max(length, MERGING_DISTANCE)
 
 
 @inlined
@@ -301,8 +301,8 @@ def _check_yaw(draft, count):
             heading_cos = work[k, _WORK.cos] + work[after, _WORK.cos]
             heading_sin = work[k, _WORK.sin] + work[after, _WORK.sin]
             along, across = heading_cos * x + heading_sin * y, heading_cos * y - heading_sin * x
-            slip, axle = across / abs(along), AXLE_REACH * _turning(work, k, after)
-            if not max(slip - max(axle, 0.0), min(axle, 0.0) - slip) <= MAX_YAW_ERROR:
+            axle = AXLE_REACH * _turning(work, k, after) * abs(along)
+            if not max(across - max(axle, 0.0), min(axle, 0.0) - across) <= MAX_YAW_ERROR * abs(along):
                 return WRONG_YAW, k
             if along < 0.0:
                 return REVERSE_AHEAD, k

@@ -19,7 +19,8 @@ FAR_TIME, FAR_SHARE, FAR_STEP = 3.0, 0.8, 1.0
 MEANT_TIME = 0.7
 """s, time constant of the two offsets."""
 HIDDEN_OFFSET, HIDDEN_SIGMAS, SHOWN_SHARE = 0.15, 3.0, 0.5
-"""m, standard deviations of a position, -: a larger offset is hidden where the trajectory shows less than this share."""
+"""m, standard deviations of a position, -: a larger offset is hidden where the trajectory shows less than this share.
+"""
 HIDDEN_TIME = 2.5
 """s, for which it is hidden until it is reported."""
 

@@ -16,10 +16,12 @@ GIVEN = columns(
 """A point of a planned trajectory, as it is given."""
 
 NODE = columns(
-    "x", "y",  # m, of the centre of mass
-    "arrive", "leave",  # s, on the tracker's clock: they differ where the car is to stand
+    "x",
+    "y",  # m, of the centre of mass
+    "arrive",
+    "leave",  # s, on the tracker's clock: they differ where the car is to stand
     "speed",  # m/s
-)
+)  # fmt: skip
 """A place of a conditioned trajectory. Places are at least `condition.MERGING_DISTANCE` apart."""
 
 PlannedSpeeds = record("PlannedSpeeds", (("s", vector), ("speed", vector), ("arrive", vector), ("leave", vector)))
@@ -65,7 +67,7 @@ PLANNED_MEMORY = record(
         # replans:
         "returned",  # fresh trajectories in a row since the planner fell silent
         # where the trajectory begins, see `meant_line`:
-        "meant_offset", "given_offset",  # m, of the car from the line that earlier trajectories meant, and from this one
+        "meant_offset", "given_offset",  # m, of the car from the line that earlier ones meant, and from this one
         "hidden",  # s, for which they have contradicted each other
         "far_count",  # places in `far`
     ),

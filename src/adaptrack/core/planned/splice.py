@@ -15,7 +15,7 @@ from ..maths.exact import clip
 from ..maths.exponential import hypot
 from ..maths.trigonometric import cos, sin
 from ..roads.path import MIN_PATH_POINTS
-from ..roads.road import LENGTH, foot_near, point_at
+from ..roads.road import foot_near, point_at
 from .records import NODE
 
 CarOnLine = record("CarOnLine", ("x", "y", "yaw", "speed", "station"))
@@ -35,6 +35,12 @@ AGREEMENT_SIGMAS, LEAST_AGREEMENT = 3.0, 0.05
 """-, m: standard deviations of position and points by which lines that agree may differ, and at least."""
 FRONT_ROOM = 8
 """Points that a line may get in front of its first node."""
+
+
+@inlined
+def tolerance_of(position_noise, noise):
+    """Distance (m) up to which lines agree; m, m: standard deviations of a measured position and of points."""
+    return max(AGREEMENT_SIGMAS * position_noise, LEAST_AGREEMENT) + AGREEMENT_SIGMAS * noise
 
 
 @inlined

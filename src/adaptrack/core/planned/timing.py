@@ -14,7 +14,7 @@ from ..kernel import Place, exported, float64, inlined, several, void
 from ..maths.exact import clip, sqrt, square
 from ..speed.plan import last_at
 from ..speed.stops import OVERSHOOT, STOP_TOLERANCE
-from .records import Planned, PlannedSpeeds
+from .records import STOP, Planned, PlannedSpeeds
 
 DEAD_ZONE = 0.2
 """m, between the car and its place by the time, within which nothing is corrected."""
@@ -173,6 +173,8 @@ def keep_time(time, station, speed, planned):
     if rest_node >= 0 and time - memory.debt >= _leave_at(rest_node, speeds):
         memory.is_leaving, coming = 1, max(coming, speeds.s[rest_node] + START_WAY)
     memory.target_speed = 0.0
-    if rest_node == -1 or memory.is_leaving > 0 or coming < speeds.s[rest_node]:
+    if memory.driven_by == STOP:
+        memory.correction = 0.0
+    elif rest_node == -1 or memory.is_leaving > 0 or coming < speeds.s[rest_node]:
         coming_speed = speed_at(coming, speeds)
         memory.target_speed = clip(coming_speed + memory.correction, 0.0, max(coming_speed, memory.top_speed))

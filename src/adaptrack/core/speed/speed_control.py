@@ -321,13 +321,14 @@ def _stop_braking(index, way, sample, settings, path, memory):
     Without times, and at the end of a path that the trajectory reaches with a speed, that of comfort; never more than
     `emergency`.
     """
+    is_passed = index != stops.NO_STOP and stops.is_path_end(index, path) and path.square[path.square.size - 1] > 0.0
+    if sample.is_timed <= 0.0 or index == stops.NO_STOP or is_passed:
+        return settings.brake
     needed, stop = 0.0, memory.station + way
-    is_passed = path.square[path.square.size - 1] > 0.0
-    if sample.is_timed > 0.0 and index != stops.NO_STOP and not (is_passed and stops.is_path_end(index, path)):
-        stop_cell = whole(floor(stop / path.spacing))
-        for k in range(min(whole(floor(memory.station / path.spacing)), stop_cell) - PASSED_CELLS, stop_cell):
-            distance = stop - k * path.spacing
-            needed = max(needed, 0.5 * path.square[cell_at((k + 0.5) * path.spacing, path)] / distance)
+    stop_cell = whole(floor(stop / path.spacing))
+    for k in range(min(whole(floor(memory.station / path.spacing)), stop_cell) - PASSED_CELLS, stop_cell):
+        distance = stop - k * path.spacing
+        needed = max(needed, 0.5 * path.square[cell_at((k + 0.5) * path.spacing, path)] / distance)
     return max(min(needed, settings.emergency), settings.brake)
 
 

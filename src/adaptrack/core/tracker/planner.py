@@ -11,13 +11,28 @@ import math
 from ..controllers.contract import wrapped
 from ..input_check.hypotheses import MISTAKES
 from ..input_check.record import memory_of, report
-from ..kernel import OK, Place, columns, exported, float64, inlined, int64, int_vector, matrix, record, several, shaped, vector, void
+from ..kernel import (
+    OK,
+    Place,
+    columns,
+    exported,
+    float64,
+    inlined,
+    int64,
+    int_vector,
+    matrix,
+    record,
+    several,
+    shaped,
+    vector,
+    void,
+)
 from ..maths.exact import clip, square
 from ..physics.forces import GRAVITY
 from ..planned import clock, splice
 from ..planned.condition import condition
 from ..planned.meant_line import FAR_SHARE, FAR_TIME, hides_error, remember_place
-from ..planned.records import FALLBACK, NODE, PLANNER, STOP, PlannedSpeeds
+from ..planned.records import FALLBACK, GIVEN, NODE, PLANNER, STOP, PlannedSpeeds
 from ..planned.timing import time_at
 from ..roads.noise import noise_of, smooth_points
 from ..roads.path import PATH_SCRATCH, cells_of, line_in, path_through, words_of
@@ -30,8 +45,9 @@ LINE_FLAW = 100
 """Added to a status of `roads.path.path_through`: no line can be made of the nodes."""
 LEAST_SPEED, LEAST_STEP = 0.1, 1e-3
 """m/s, of a node that is no rest; m, between two places of the speeds."""
-LONGEST_WAIT = 0.5
-"""s, by which the car is carried to the arrival of a trajectory at most."""
+LONGEST_WAIT, LENGTH_ROOM, SMOOTHING_WORDS = 0.5, 100.0, 14
+"""s, by which the car is carried to the arrival of a trajectory at most; m, by which a line may be longer than its
+trajectory; numbers for each node that smoothing needs."""
 MOST_ASIDE = 1.0
 """m: a line that lies farther beside the one before is taken at once."""
 FIT_OFFSET, FIT_ANGLE, FIT_TIME = 1.0, math.radians(10.0), 1.0
@@ -42,15 +58,19 @@ RETURNED = 3
 Arrival = record("Arrival", (("stamp", float64), ("time", float64), ("role", int64), ("is_urgent", int64)))
 """Of a trajectory: stamp (s, on the planner's clock), time (s, on the tracker's), `PLANNER` or `FALLBACK`."""
 PARTS = columns("points", "speeds", "stops", "speeds_at", "room", "stops_at", "path_at")
-"""Parts of a memory: how many points (rows of x, y, arc length, at its beginning), places of speeds and stops there are;
+"""Parts of a memory: how many points (rows of x, y, arc length, at its beginning), places of speeds, and stops;
 where the columns of the speeds begin, `room` numbers each; where stops (m) and the path begin."""
 
 
 # -- the memory -------------------------------------------------------------------------------------------------------
-@inlined
-def _most_points(count, kept):
-    """Points of a line through so many given points, and so many of the line before."""
-    return splice.FRONT_ROOM + kept + _most_nodes(count)
+Rooms = record(
+    "Rooms",
+    (
+        ("points", matrix), ("nodes", matrix), ("feet", matrix), ("speeds", PlannedSpeeds), ("stops", vector),
+        ("path", vector),
+    ),
+)  # fmt: skip
+"""Parts of a memory: points of a line, at first nodes and their feet on the line before, speeds, stops, and a path."""
 
 
 @inlined
@@ -59,21 +79,47 @@ def _most_nodes(count):
     return 2 * count + 2
 
 
-@exported(int64(int64, int64, float64))
-def trajectory_words(count, kept, length):
-    """How many numbers of memory a trajectory of so many points and some length (m) needs; kept: points of the line
-    that is followed."""
-    points, room = _most_points(count, kept), _most_nodes(count) + 2
-    line = words_of(points + points // 4 + 16, cells_of(length + 100.0)) + PATH_SCRATCH * points
-    return 3 * points + (len(NODE) + 2 + 5 + 14) * room + line
+@inlined
+def _most_points(count, kept):
+    """Points of a line through so many given points, and so many of the line before."""
+    return splice.FRONT_ROOM + kept + _most_nodes(count)
 
 
 @inlined
-def _speeds_in(memory, count):
-    """Room for the speeds at so many places, in the order of `PlannedSpeeds`."""
-    return PlannedSpeeds(
-        memory[:count], memory[count : 2 * count], memory[2 * count : 3 * count], memory[3 * count : 4 * count]
-    )
+def _words_before_path(count, kept):
+    """How many numbers come before the path."""
+    return 3 * _most_points(count, kept) + (len(NODE) + 2) * _most_nodes(count) + 5 * (_most_nodes(count) + 2)
+
+
+@exported(int64(int64, int64, float64))
+def trajectory_words(count, kept, length):
+    """How many numbers of memory a trajectory needs, of so many points and some length (m).
+
+    kept: points of the line that is followed.
+    """
+    points = _most_points(count, kept)
+    noise = SMOOTHING_WORDS * _most_nodes(count)
+    line = words_of(points + points // 4 + 16, cells_of(length + LENGTH_ROOM)) + PATH_SCRATCH * points
+    return _words_before_path(count, kept) + max(line, noise)
+
+
+@inlined
+def _rooms_in(memory, count, kept):
+    """The parts of a memory."""
+    points, nodes = _most_points(count, kept), _most_nodes(count)
+    at_nodes = 3 * points
+    at_feet = at_nodes + len(NODE) * nodes
+    at_speeds, places = at_feet + 2 * nodes, nodes + 2
+    at_stops = at_speeds + 4 * places
+    speeds = PlannedSpeeds(
+        memory[at_speeds : at_speeds + places], memory[at_speeds + places : at_speeds + 2 * places],
+        memory[at_speeds + 2 * places : at_speeds + 3 * places], memory[at_speeds + 3 * places : at_stops],
+    )  # fmt: skip
+    return Rooms(
+        shaped(memory[:at_nodes], points, 3), shaped(memory[at_nodes:at_feet], nodes, len(NODE)),
+        shaped(memory[at_feet:at_speeds], nodes, 2), speeds, memory[at_stops : at_stops + places],
+        memory[at_stops + places :],
+    )  # fmt: skip
 
 
 # -- the car ----------------------------------------------------------------------------------------------------------
@@ -105,18 +151,21 @@ def _fits(car, nodes, line):
 @inlined
 def _write_speeds(nodes, count, line, speeds):
     """Write speeds and times of nodes along their line, from 0 to its length; how many places these are."""
-    k, s, length = 0, 0.0, line.numbers[LENGTH]
-    speeds.s[0] = 0.0
+    k, s, length = -1, 0.0, line.numbers[LENGTH]
     for j in range(count):
         node, is_rest = nodes[j], nodes[j, NODE.leave] > nodes[j, NODE.arrive]
         s, _, _, _ = foot_near(node[NODE.x], node[NODE.y], s, line)
-        place = length if j == count - 1 else min(s, length)
-        if j == 0 or place > speeds.s[k] + LEAST_STEP:
+        place = length if j == count - 1 else clip(s, 0.0, length)
+        if j == 0 and place > LEAST_STEP:  # the line begins behind the trajectory
+            speeds.s[0], speeds.speed[0] = 0.0, max(node[NODE.speed], LEAST_SPEED)
+            speeds.arrive[0] = speeds.leave[0] = node[NODE.arrive] - place / speeds.speed[0]
+            k = 0
+        if k < 0 or place > speeds.s[k] + LEAST_STEP:
             k += 1
-        speeds.s[k], speeds.arrive[k], speeds.leave[k] = place, node[NODE.arrive], node[NODE.leave]
+            speeds.s[k] = place
+        speeds.arrive[k], speeds.leave[k] = node[NODE.arrive], node[NODE.leave]
         speeds.speed[k] = 0.0 if is_rest else max(node[NODE.speed], LEAST_SPEED)
-    speeds.speed[0] = max(nodes[0, NODE.speed], LEAST_SPEED)
-    speeds.arrive[0] = speeds.leave[0] = nodes[0, NODE.arrive] - speeds.s[1] / speeds.speed[0]
+    speeds.s[0] = 0.0
     return k + 1
 
 
@@ -132,9 +181,11 @@ def _write_stops(count, speeds, stops):
 
 
 @inlined
-def _asks_too_much(friction, nodes, count, line):
-    """Whether nodes need more than a friction (at its low end; NaN: unknown) in their bends."""
+def _is_no_fallback(friction, nodes, count, line):
+    """Whether nodes do not end at rest, or need more than a friction (at its low end; NaN: unknown) in their bends."""
     s = 0.0
+    if nodes[count - 1, NODE.leave] < math.inf:
+        return True
     for j in range(count):
         s, _, _, curvature = foot_near(nodes[j, NODE.x], nodes[j, NODE.y], s, line)
         if square(nodes[j, NODE.speed]) * abs(curvature) > friction * GRAVITY:
@@ -145,114 +196,153 @@ def _asks_too_much(friction, nodes, count, line):
 # -- a trajectory -----------------------------------------------------------------------------------------------------
 @inlined
 def _shape_of(given):
-    """A number that two trajectories share only if they are alike."""
+    """A number that two trajectories share only if their times and poses are alike."""
     shape = 0.0
     for j in range(len(given)):
-        for i in range(4):
+        for i in range(GIVEN.speed):
             shape = given[j, i] - 0.9999 * shape if given[j, i] == given[j, i] else shape
     return shape
 
 
 @inlined
-def _watch_meant_line(arrival, car, nodes, count, feet, tracker):
+def _smooth(nodes, count, scratch):
+    """Smooth the noise of the places of nodes, and return it (m)."""
+    noise = noise_of(nodes[:count], False, scratch)
+    if noise > 0.0:
+        smooth_points(nodes[:count], False, noise, scratch)
+    return noise
+
+
+@inlined
+def _write_line(arrival, car, count, noise, rooms, tracker):
+    """Write points and path of nodes, joined to the line that is followed; `OK` or what is wrong, and how many points.
+
+    noise: m, of the nodes.
+    """
+    planned, until = tracker.planned, -math.inf
+    if car.station == car.station:
+        splice.project(rooms.nodes, count, car.station, pose.line(tracker), rooms.feet)
+    if car.station == car.station and arrival.role == PLANNER and arrival.is_urgent == 0:
+        tolerance = splice.tolerance_of(planned.settings[0].position_noise, noise)
+        until = splice.kept_until(car, tolerance, rooms.feet, count, planned.points)
+    points = rooms.points
+    end = splice.join(rooms.nodes, count, rooms.feet, until, car, pose.line(tracker), planned.points, points)
+    first = splice.extend(car, rooms.nodes, end, points)
+    flaw, _ = path_through(points[first:end], False, 0.0, rooms.path)
+    if flaw != OK:
+        return LINE_FLAW + flaw, 0
+    line, s = _path(rooms), 0.0
+    for k in range(end - first):
+        x, y = points[first + k, 0], points[first + k, 1]
+        s, _, _, _ = foot_near(x, y, s, line)
+        points[k, 0], points[k, 1], points[k, 2] = x, y, s
+    return OK, end - first
+
+
+@inlined
+def _path(rooms):
+    """The line in a memory."""
+    line, _ = line_in(rooms.path)
+    return line
+
+
+@inlined
+def _waits(arrival, car, rooms, settings, memory):
+    """Whether a planner that was silent has still to show that it is back: trajectories in a row that fit the car."""
+    if memory.driven_by != FALLBACK and memory.driven_by != STOP:
+        return False
+    is_late = arrival.time - memory.arrival > settings.silence
+    memory.returned = (0 if is_late else memory.returned) + 1 if _fits(car, rooms.nodes, _path(rooms)) else 0
+    return memory.returned < RETURNED
+
+
+@inlined
+def _let_be_on_time(time, car, count, rooms):
+    """Shift the times of so many places so that the car is on time, wherever it is, at a time (s)."""
+    station, speeds = nearest(car.x, car.y, car.yaw, ACROSS_PENALTY, math.nan, _path(rooms)), rooms.speeds
+    own = PlannedSpeeds(speeds.s[:count], speeds.speed[:count], speeds.arrive[:count], speeds.leave[:count])
+    shift = time - time_at(station, own)
+    for k in range(count):
+        speeds.arrive[k], speeds.leave[k] = speeds.arrive[k] + shift, speeds.leave[k] + shift
+
+
+@inlined
+def _watch_meant_line(arrival, car, count, rooms, tracker):
     """Say it where the planner hides the error of the controller, and keep what this trajectory means."""
-    planned, m = tracker.planned, tracker.memory[0]
+    planned, nodes = tracker.planned, rooms.nodes
     settings, memory = planned.settings[0], planned.memory[0]
     if car.station == car.station:
-        nearest_foot = 0
-        while nearest_foot < count - 1 and feet[nearest_foot + 1, 0] <= car.station:
-            nearest_foot += 1
+        beside = 0
+        while beside < count - 1 and rooms.feet[beside + 1, 0] <= car.station:
+            beside += 1
         elapsed = clip(arrival.time - memory.arrival, 0.0, 1.0)
-        given_offset = m.offset - feet[nearest_foot, 1]
+        given_offset = tracker.memory[0].offset - rooms.feet[beside, 1]
         if hides_error(car.x, car.y, given_offset, elapsed, settings, planned.far, memory):
             inputs = memory_of(tracker.check.memory, 0)
             report(inputs, MISTAKES.plan_begins_at_car, abs(memory.meant_offset), 0.0, 0.0)
-    span = nodes[count - 1, NODE.arrive] - arrival.time
-    due, far = arrival.time + min(FAR_TIME, FAR_SHARE * span), 0
-    while far < count - 1 and nodes[far, NODE.arrive] < due:
-        far += 1
-    if span > 0.0:
+    ahead = min(FAR_TIME, FAR_SHARE * (nodes[count - 1, NODE.arrive] - arrival.time))
+    if ahead > 0.0:
+        far = 0
+        while far < count - 1 and nodes[far, NODE.arrive] < arrival.time + ahead:
+            far += 1
         remember_place(nodes[far, NODE.x], nodes[far, NODE.y], planned.far, memory)
+
+
+@inlined
+def _stamp(given, arrival, settings, memory):
+    """A verdict by the stamp of a trajectory and by whether it is new, and its time 0 on the tracker's clock."""
+    if len(given) == 0:
+        return clock.SILENT, arrival.time
+    if arrival.role != PLANNER:
+        return clock.TAKEN, arrival.time
+    verdict, begins = clock.place_stamp(arrival.stamp, arrival.time, settings, memory)
+    if verdict == clock.TAKEN and memory.driven_by == PLANNER and _shape_of(given) == memory.shape:
+        verdict = clock.SAME
+    return verdict, begins
 
 
 @exported(several(int64, int64, int64)(matrix, Arrival, float64, Place(TrackerRecord), vector, int_vector))
 def take_trajectory(given, arrival, friction, tracker, memory, parts):
     """Take in a trajectory, `GIVEN` (n, 7), and write what is to be followed to a memory (`trajectory_words`).
 
-    friction: low end now, for a fallback; NaN: unknown. parts: `PARTS`. Return a verdict of `planned.clock`, a
-    status of `planned.condition`, `OK` where the trajectory is possible, and the number of the point that is not.
-    Nothing changes for the car before `begin_trajectory`.
+    friction: low end now, for a fallback; NaN: unknown. parts: `PARTS`. Return a verdict of `planned.clock`, a status
+    of `planned.condition`, or `LINE_FLAW` and more, and the number of the point that it is about. Nothing changes for
+    the car before `begin_trajectory`.
     """
-    planned, m = tracker.planned, tracker.memory[0]
+    planned = tracker.planned
     settings, own = planned.settings[0], planned.memory[0]
-    if len(given) == 0:
-        return clock.SILENT, OK, 0
-    verdict, begins = clock.TAKEN, arrival.time
-    if arrival.role == PLANNER:
-        verdict, begins = clock.place_stamp(arrival.stamp, arrival.time, settings, own)
+    verdict, begins = _stamp(given, arrival, settings, own)
+    if verdict == clock.SAME:
+        own.stamp, own.arrival = max(own.stamp, arrival.stamp), arrival.time
     if verdict != clock.TAKEN:
         return verdict, OK, 0
-    if arrival.role == PLANNER and own.driven_by == PLANNER and _shape_of(given) == own.shape:
-        own.stamp, own.arrival = max(own.stamp, arrival.stamp), arrival.time
-        return clock.SAME, OK, 0
-    most = _most_points(len(given), len(planned.points))
-    points, rest = shaped(memory[: 3 * most], most, 3), memory[3 * most :]
-    room = _most_nodes(len(given))
-    nodes, rest = shaped(rest[: len(NODE) * room], room, len(NODE)), rest[len(NODE) * room :]
-    feet, rest = shaped(rest[: 2 * room], room, 2), rest[2 * room :]
-    places, rest = rest[: 4 * (room + 2)], rest[4 * (room + 2) :]
-    stops, rest = rest[: room + 2], rest[room + 2 :]
-    status, entry, count = condition(given, settings.tracked_arm, begins, nodes)
+    rooms = _rooms_in(memory, len(given), len(planned.points))
+    status, entry, count = condition(given, settings.tracked_arm, begins, rooms.nodes)
     if count == 0:
         return verdict, status, entry
-    noise = noise_of(nodes[:count], False, rest)
-    if noise > 0.0:
-        smooth_points(nodes[:count], False, noise, rest)
-    count = splice.thin(nodes, count)
-    car, until = _car_at(arrival.time, tracker), -math.inf
-    if car.station == car.station:
-        centreline = pose.line(tracker)
-        splice.project(nodes, count, car.station, centreline, feet)
-        sigma = splice.AGREEMENT_SIGMAS
-        tolerance = max(sigma * settings.position_noise, splice.LEAST_AGREEMENT) + sigma * noise
-        if arrival.role == PLANNER and arrival.is_urgent == 0:
-            until = splice.kept_until(car, tolerance, feet, count, planned.points)
-    written = splice.join(nodes, count, feet, until, car, pose.line(tracker), planned.points, points)
-    first = splice.extend(car, nodes, written, points)
-    flaw, _ = path_through(points[first:written], False, 0.0, rest)
+    noise = _smooth(rooms.nodes, count, rooms.path)
+    count, car = splice.thin(rooms.nodes, count), _car_at(arrival.time, tracker)
+    flaw, points = _write_line(arrival, car, count, noise, rooms, tracker)
     if flaw != OK:
-        return verdict, LINE_FLAW + flaw, 0
-    line, _ = line_in(rest)
-    s = 0.0
-    for k in range(first, written):
-        s, _, _, _ = foot_near(points[k, 0], points[k, 1], s, line)
-        points[k, 2] = s
-        points[k - first, 0], points[k - first, 1], points[k - first, 2] = points[k, 0], points[k, 1], s
-    if arrival.role == FALLBACK:
-        if not _fits(car, nodes, line) or _asks_too_much(friction, nodes, count, line):
-            return clock.UNFIT, OK, 0
-    elif own.driven_by == FALLBACK or own.driven_by == STOP:
-        is_late = arrival.time - own.arrival > settings.silence
-        own.returned = (0 if is_late else own.returned) + 1 if _fits(car, nodes, line) else 0
-        if own.returned < RETURNED:
-            own.stamp, own.arrival = arrival.stamp, arrival.time
-            return clock.WAITING, OK, 0
-    speeds = _speeds_in(places, room + 2)
-    places_written = _write_speeds(nodes, count, line, speeds)
-    if arrival.role == FALLBACK:  # on time, wherever the car is
-        station = nearest(car.x, car.y, car.yaw, ACROSS_PENALTY, math.nan, line)
-        shift = arrival.time - time_at(station, speeds)
-        for k in range(places_written):
-            speeds.arrive[k], speeds.leave[k] = speeds.arrive[k] + shift, speeds.leave[k] + shift
+        return verdict, flaw, 0
+    line = _path(rooms)
+    is_fallback = arrival.role == FALLBACK
+    if is_fallback and (not _fits(car, rooms.nodes, line) or _is_no_fallback(friction, rooms.nodes, count, line)):
+        return clock.UNFIT, OK, 0
+    if not is_fallback and _waits(arrival, car, rooms, settings, own):
+        own.stamp, own.arrival = arrival.stamp, arrival.time
+        return clock.WAITING, OK, 0
+    places = _write_speeds(rooms.nodes, count, line, rooms.speeds)
+    if is_fallback:
+        _let_be_on_time(arrival.time, car, places, rooms)
     else:
-        _watch_meant_line(arrival, car, nodes, count, feet, tracker)
+        _watch_meant_line(arrival, car, count, rooms, tracker)
         own.stamp, own.arrival, own.shape = arrival.stamp, arrival.time, _shape_of(given)
-    parts[PARTS.points], parts[PARTS.speeds] = written - first, places_written
-    parts[PARTS.stops] = _write_stops(places_written, speeds, stops)
-    parts[PARTS.path_at] = memory.size - rest.size
-    parts[PARTS.stops_at] = parts[PARTS.path_at] - stops.size
-    parts[PARTS.room] = room + 2
-    parts[PARTS.speeds_at] = parts[PARTS.stops_at] - 4 * parts[PARTS.room]
+    parts[PARTS.points], parts[PARTS.speeds], parts[PARTS.room] = points, places, rooms.speeds.s.size
+    parts[PARTS.stops] = _write_stops(places, rooms.speeds, rooms.stops)
+    parts[PARTS.path_at] = _words_before_path(len(given), len(planned.points))
+    parts[PARTS.stops_at] = parts[PARTS.path_at] - rooms.stops.size
+    parts[PARTS.speeds_at] = parts[PARTS.stops_at] - 4 * rooms.speeds.s.size
     return verdict, status, entry
 
 

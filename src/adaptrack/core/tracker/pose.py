@@ -46,15 +46,15 @@ def time_of(m, period):
 
 # -- the path ---------------------------------------------------------------------------------------------------------
 @inlined
-def has_path(tracker):
-    """Whether there is a path."""
-    return len(tracker.path.pieces) > 0
+def line(tracker):
+    """The centre line of the path."""
+    return line_of(0 if has_path(tracker) else -1, tracker.path)
 
 
 @inlined
-def line(tracker):
-    """The centre line of the path; without pieces before there is one."""
-    return line_of(0 if has_path(tracker) else -1, tracker.path)
+def has_path(tracker):
+    """Whether there is a path."""
+    return len(tracker.path.pieces) > 0
 
 
 @inlined

@@ -111,7 +111,7 @@ TrackerRecord = record(
 
 
 def tracker(settings: Any, path: Any, plan: Any, check: Any, planned: Any) -> Any:
-    """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `PlanRecord`, `Check`, `Planned`."""
+    """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, `PlanRecord`, `Check`, `Planned`."""
     sizes = len(MEASUREMENT), EXPECTED_SPEEDS, len(REQUEST), len(TRACKED), len(VARIABLE_COLUMNS)
     return TrackerRecord(
         settings, MEMORY.new(near=np.nan), np.full(len(TRACKER_SAMPLE), np.nan), path,

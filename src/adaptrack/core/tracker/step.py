@@ -296,7 +296,10 @@ def _keep_time(tracker):
         return
     station = tracked[signals.TRACKED.station] if m.started > 0 else math.nan
     keep_time(pose.time_of(m, tracker.settings[0].period), station, pose.forward(m), planned)
-    tracked[signals.TRACKED.late], tracked[signals.TRACKED.driven_by] = planned.memory[0].late, planned.memory[0].driven_by
+    tracked[signals.TRACKED.late], tracked[signals.TRACKED.driven_by] = (
+        planned.memory[0].late,
+        planned.memory[0].driven_by,
+    )
 
 
 # -- whole calls ------------------------------------------------------------------------------------------------------
