@@ -19,7 +19,8 @@ from adaptrack.core.planned.records import GIVEN
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.export.c_library import MEMBER_NAMES, export_c
-from adaptrack.road import Comfort, PlannedTrajectory
+from adaptrack.road import Comfort
+from adaptrack.road.planned_trajectory import PlannedTrajectory
 from exported import CPath, CTracker, Exported, Sample
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
@@ -143,7 +144,7 @@ def sent(k, station, rng):
     now, fallback = PERIOD * k, None
     if k % 2 or 130 <= k < 137 or 180 <= k < 216 or 340 <= k < 400:
         return None, None
-    if k < 300:
+    if k < 280:
         fallback = cut(station - 0.3, now, speeds=braking(SPEED))
     if k % 50 == 6:
         return PlannedTrajectory([], [], []), None

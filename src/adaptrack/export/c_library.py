@@ -311,7 +311,8 @@ def _layout_header(memory: CMemory) -> str:
         words, plan_words = _trajectory_words(memory)
         numbers |= {
             "TRAJECTORY_WORDS": words, "TRAJECTORY_PLAN_WORDS": plan_words - 8, "KEPT_POINTS": KEPT_POINTS,
-            "FAR_NUMBERS": record.tracker.planned.far.size, "NODE_COLUMNS": len(NODE), "PARTS": len(planner.PARTS),
+            "FAR_NUMBERS": record.tracker.planned.far.size, "NODE_COLUMNS": len(NODE),
+            "NODE_LEAVE": NODE.leave, "PARTS": len(planner.PARTS),
             "REVERSE_AHEAD": condition.REVERSE_AHEAD, "LINE_TOO_SMALL": planner.LINE_FLAW + path.TOO_SMALL,
             **{f"PART_{name.upper()}": place for place, name in enumerate(planner.PARTS._fields)},
         }  # fmt: skip

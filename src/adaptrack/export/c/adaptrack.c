@@ -531,7 +531,7 @@ static adaptrack_error follow_parts(void *tracker, struct tracker_planner_Arriva
     const int64_t points = parts[ADAPTRACK_PART_POINTS];
     const speed_table table = {columns, columns + room, (size_t)count};
     write_head(head, line, 0);
-    head->id = adaptrack_crc32(memory, 24u * (size_t)points) ^ adaptrack_crc32(columns + 2 * room, 8u * (size_t)count);
+    head->id = adaptrack_crc32(line, 8u * NUMBERS) ^ adaptrack_crc32(columns + 2 * room, 8u * (size_t)count);
 #if ADAPTRACK_SPEED_CONTROL
     {
         double *stops = memory + parts[ADAPTRACK_PART_STOPS_AT];
@@ -585,12 +585,14 @@ static adaptrack_error check_fallback(void *tracker, const adaptrack_trajectory 
     const int64_t count = (int64_t)fallback->count;
     adaptrack_word answers[3];
     if (count == 0) return ADAPTRACK_BAD_FALLBACK;
-    adaptrack_condition(&fallback->points->t, count, POINT_COLUMNS, planned_of(tracker)->settings.data->tracked_arm,
-                        0.0, nodes, 2 * count + 2, ADAPTRACK_NODE_COLUMNS, answers);
+    adaptrack_condition(&fallback->points->t, count, POINT_COLUMNS, 0.0, 0.0, nodes, 2 * count + 2,
+                        ADAPTRACK_NODE_COLUMNS, answers);
     *flaw = (size_t)answers[1].whole;
-    if (answers[0].whole != 0 && answers[0].whole != ADAPTRACK_REVERSE_AHEAD) return ADAPTRACK_BAD_FALLBACK;
+    if (answers[2].whole == 0) return ADAPTRACK_BAD_FALLBACK;
+    nodes += (answers[2].whole - 1) * ADAPTRACK_NODE_COLUMNS;
+    if (!is_finite(nodes[ADAPTRACK_NODE_LEAVE])) return ADAPTRACK_OK;
     *flaw = fallback->count - 1;
-    return fallback->points[*flaw].speed == 0.0 ? ADAPTRACK_OK : ADAPTRACK_BAD_FALLBACK;
+    return ADAPTRACK_BAD_FALLBACK;
 }
 
 static void keep_fallback(planner *own, const adaptrack_trajectory *fallback, double now) {
