@@ -2,6 +2,7 @@
 
 import copy
 import ctypes
+import dataclasses
 import math
 import re
 import struct
@@ -26,7 +27,8 @@ from exported import CPath, CTracker, Exported, Sample
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 CAR = at.load_vehicle("midsize-sedan")
 ALONG = np.arange(0.0, 600.0, 5.0)
-PATH = at.road_through(np.stack([ALONG, 32.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1))
+PATH_POINTS = np.stack([ALONG, 32.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
+PATH = at.road_through(PATH_POINTS)
 PERIOD, SPEED = 0.05, 10.0
 FOLLOWING = Following(comfort=Comfort(brake=2.5))
 CONTROLS = {"steering": None, "speed": at.SpeedControl(CAR, (0.5, 0.9))}
@@ -211,11 +213,14 @@ def as_c(trajectory, now=math.nan):
 def drive(library, calls, seed=1):
     """Drive a car by the commands of C along `sent`; answers that differ from Python's, verdicts and drivers."""
     tracker, twin, car, rng = start_tracker(library), python_tracker(library), Car(), np.random.default_rng(seed)
-    differences, verdicts, drivers, station = [], [], [], 0.0
+    differences, verdicts, drivers, station, before = [], [], [], 0.0, None
     for k in range(calls):
         now = PERIOD * k
         trajectory, fallback = sent(k, station, rng)
+        if k % 50 == 14 and trajectory is not None:  # the one before, with a new stamp
+            trajectory = dataclasses.replace(before, stamp=before.stamp + 0.1)
         if trajectory is not None:
+            before = trajectory
             expected = twin.follow(trajectory, now=now, fallback=fallback)
             error, verdict, _ = tracker.follow_trajectory(
                 as_c(trajectory, now), None if fallback is None else as_c(fallback)
@@ -240,4 +245,134 @@ def test_a_replanned_drive_is_that_of_python_to_the_bit(library, caplog):
     differences, verdicts, drivers = drive(library, 520)
     assert differences == []
     assert set(verdicts) == set(Verdict) - {Verdict.UNFIT}
-    assert set(drivers) == set(DrivenBy)
+    assert set(drivers) == set(DrivenBy) - {DrivenBy.NOBODY}
+
+
+def test_a_path_in_between_ends_the_trajectory_and_its_clock(library):
+    if library.control is not None:
+        pytest.skip("its path needs a plan")
+    tracker, twin = start_tracker(library), python_tracker(library)
+    path = CPath(library.c, PATH_POINTS)
+    assert path.error == exported.OK
+
+    def compare(first, count):
+        for k in range(first, first + count):
+            place = PATH.at(SPEED * PERIOD * k)
+            sample = (PERIOD * k, float(place.x), float(place.y) + 0.1, float(place.heading), SPEED, 0.0)
+            row = python_row(twin.step(*sample))
+            assert differs(tracker.step(sample[0], sample[0], *sample[1:]), row) == []
+        return DRIVERS[int(row["driven_by"])]
+
+    def send(k):
+        trajectory = cut(SPEED * PERIOD * k, PERIOD * k, stamp=1000.0 + PERIOD * k)
+        verdict = twin.follow(trajectory, now=PERIOD * k)
+        assert tracker.follow_trajectory(as_c(trajectory, PERIOD * k))[:2] == (exported.OK, VERDICTS.index(verdict))
+        return verdict
+
+    assert [send(0), send(1), send(2)] == [Verdict.EARLY, Verdict.EARLY, Verdict.TAKEN]
+    assert compare(3, 5) is DrivenBy.PLANNER
+    twin.follow(at.road_through(PATH_POINTS))
+    assert tracker.follow(path) == exported.OK
+    assert compare(8, 20) is DrivenBy.NOBODY
+    assert [send(28), send(29), send(30)] == [Verdict.EARLY, Verdict.EARLY, Verdict.TAKEN]
+    assert compare(31, 5) is DrivenBy.PLANNER
+
+
+# -- errors, states and the header ------------------------------------------------------------------------------------
+def with_entry(trajectory, row, column, value):
+    given = trajectory.given.copy()
+    given[row, column] = value
+    return CTrajectory(given, trajectory.stamp)
+
+
+def test_an_impossible_trajectory_is_refused_by_its_point_and_the_car_goes_on_as_before(library):
+    tracker, twin, first = start_tracker(library), start_tracker(library), cut(0.0, 0.0)
+    for each in (tracker, twin):
+        assert each.follow_trajectory(as_c(first, 0.0))[:2] == (exported.OK, 0)
+    refused = [
+        (with_entry(cut(1.0, 0.1), 7, GIVEN.t, 0.0), (BAD_TRAJECTORY, 7)),
+        (with_entry(cut(1.0, 0.1), 5, GIVEN.x, math.inf), (BAD_TRAJECTORY, 5)),
+        (with_entry(cut(1.0, 0.1), 9, GIVEN.y, 80.0), (BAD_TRAJECTORY, 9)),
+        (CTrajectory(np.zeros((257, len(GIVEN)))), (exported.TOO_SMALL, 99)),
+    ]
+    for wrong, expected in refused:
+        wrong.now = 0.1
+        error, _, flaw = tracker.follow_trajectory(wrong)
+        assert (error, flaw) == expected
+    fallbacks = [
+        (as_c(cut(1.0, 0.1)), (BAD_FALLBACK, 39)), (CTrajectory(np.zeros((0, len(GIVEN)))), (BAD_FALLBACK, 0)),
+        (with_entry(cut(1.0, 0.1, speeds=braking(SPEED)), 4, GIVEN.t, math.nan), (BAD_FALLBACK, 4)),
+    ]  # fmt: skip
+    for wrong, expected in fallbacks:
+        error, _, flaw = tracker.follow_trajectory(as_c(cut(1.0, 0.1), 0.1), wrong)
+        assert (error, flaw) == expected
+    for k in range(40):
+        sample = PERIOD * k, PERIOD * k, SPEED * PERIOD * k, 0.1, 0.0, SPEED, 0.0
+        assert bytes(tracker.step(*sample)) == bytes(twin.step(*sample))
+    assert tracker.untouched
+
+
+def test_a_planner_needs_its_memory_and_a_time(library):
+    tracker = CPlannerTracker(library)
+    trajectory = as_c(cut(0.0, 0.0))
+    assert tracker.follow_trajectory(trajectory)[0] == exported.OUT_OF_ORDER
+    assert tracker.give_memory(tracker.planner_size // 2) == exported.TOO_SMALL
+    assert tracker.give_memory() == exported.OK
+    assert tracker.follow_trajectory(trajectory)[0] == exported.OUT_OF_ORDER  # neither `now` nor a call
+    trajectory.now = 0.0
+    assert tracker.follow_trajectory(trajectory)[:2] == (exported.OK, 0)
+    assert tracker.give_memory() == exported.OUT_OF_ORDER
+    tracker.step(0.0, 0.0, 0.0, 0.0, 0.0, SPEED, 0.0)
+    tracker.memory[tracker.MARGIN] = 0
+    row = Sample(0.05, *[math.nan] * (len(Sample._fields_) - 1))
+    answer = tracker.Answer()
+    assert library.c.adaptrack_step(tracker.place, ctypes.byref(row), ctypes.byref(answer)) == exported.BAD_PATH
+
+
+def test_a_restored_tracker_on_the_same_trajectory_goes_on_as_the_saved_one(library):
+    first, other = start_tracker(library), start_tracker(library)
+
+    def call(tracker, k):
+        if k % 4 == 0 and k >= 100:
+            assert tracker.follow_trajectory(as_c(cut(0.5 * k, PERIOD * k), PERIOD * k))[0] == exported.OK
+        place = PATH.at(0.5 * k)
+        pose = float(place.x), float(place.y) + 0.1, float(place.heading)
+        return bytes(tracker.step(PERIOD * k, PERIOD * k, *pose, SPEED, 0.0))
+
+    long = cut(0.0, 0.0, speeds=np.full(120, SPEED))
+    assert first.follow_trajectory(as_c(long, 0.0))[0] == exported.OK
+    for k in range(8):
+        call(first, k)
+    state = first.save()
+    assert other.restore(state) == exported.OTHER_PATH
+    assert other.follow_trajectory(as_c(cut(0.0, 0.0), 0.0))[0] == exported.OK
+    assert other.restore(state) == exported.OTHER_PATH
+    assert other.init(other.constants) == other.give_memory() == exported.OK
+    assert other.follow_trajectory(as_c(long, 0.0))[0] == exported.OK
+    assert other.restore(state) == exported.OK
+    assert [call(first, k) for k in range(8, 10)] == [call(other, k) for k in range(8, 10)]
+    assert [call(first, k) for k in range(100, 140)] == [call(other, k) for k in range(100, 140)]
+
+
+def test_the_header_has_the_table_of_who_drives_and_the_library_passes_its_own_check(library):
+    header = (library.folder / "include" / "adaptrack.h").read_text()
+    for row in WHO_DRIVES:
+        assert any(line.split() == " ".join(row).split() for line in header.splitlines())
+    assert " steps, 0 differ" in library.make("check", "build/times")
+
+
+def test_cpp_follows_a_trajectory(library, tmp_path):
+    text = (
+        '#include "adaptrack.hpp"\n'
+        "static adaptrack::Tracker tracker;\nstatic adaptrack::Planner planner;\n"
+        "int main() {\n    adaptrack::Point points[40];\n"
+        "    for (int i = 0; i < 40; i++) { points[i].t = 0.1 * i; points[i].x = 1.0 * i; points[i].y = 0.0; }\n"
+        "    adaptrack::Trajectory trajectory{points, 40, 0.0, 0.0, 0};\n"
+        "    adaptrack::Verdict verdict; adaptrack::Sample sample; adaptrack::Answer answer{};\n"
+        "    sample.t = 0.0; sample.x = 0.0; sample.y = 0.2; sample.yaw = 0.0; sample.speed = 10.0;\n"
+        "    if (tracker.ready() || tracker.give(planner)) return 1;\n"
+        "    if (tracker.follow(trajectory, verdict) || verdict != ADAPTRACK_VERDICT_TAKEN) return 2;\n"
+        "    if (tracker.step(sample, answer)) return 3;\n"
+        "    return answer.driven_by == ADAPTRACK_DRIVEN_BY_PLANNER && answer.command < 0.0 ? 0 : 4;\n}\n"
+    )
+    exported.run_cpp(library, text, tmp_path)
