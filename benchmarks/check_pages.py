@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import browser
+from programs import try_program
 
 WIDTHS = (1400, 400)
 HEIGHT = 900
@@ -124,8 +125,9 @@ def main() -> int:
     parser.add_argument("--shots", type=Path, help="folder for a PNG of each look")
     parser.add_argument("--height", type=int, default=HEIGHT, help="px, of the PNG")
     options = parser.parse_args()
-    if browser.PROGRAM is None:
-        raise SystemExit(f"check_pages: {browser.NONE}")
+    _, reason = try_program("chromium")
+    if reason:
+        raise SystemExit(f"check_pages: {reason}")
     bad = set()
     for page in options.pages:
         for width, scheme in ((width, scheme) for width in WIDTHS for scheme in SCHEMES):

@@ -14,6 +14,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import browser
+from programs import try_program
 
 WIDTHS = (1400, 400)
 LOOK = """
@@ -77,8 +78,9 @@ def complaints(found: Sequence[dict[str, Any]], said: Sequence[str]) -> list[str
 
 def main() -> int:
     """Look at all pages of a folder, or at those named."""
-    if browser.PROGRAM is None:
-        raise SystemExit(f"check_pages: {browser.NONE}")
+    _, reason = try_program("chromium")
+    if reason:
+        raise SystemExit(f"check_pages: {reason}")
     folder = Path(sys.argv[1])
     pages = sys.argv[2:] or sorted(str(path.relative_to(folder)) for path in folder.rglob("*.html"))
     found, said = look(folder, pages)

@@ -164,6 +164,15 @@ class CTracker:
         error = self.c.adaptrack_step(self.place, ctypes.byref(row), ctypes.byref(answer))
         return error, answer
 
+    def predicted_path(self, room=200):
+        """Error, points (count, 2) and the time to the first one; the count where they do not fit."""
+        points, count, first = np.full((room, 2), math.nan), ctypes.c_size_t(0), ctypes.c_double(math.nan)
+        error = self.c.adaptrack_predicted_path(
+            self.place, ctypes.c_void_p(points.ctypes.data), ctypes.c_size_t(room), ctypes.byref(count),
+            ctypes.byref(first),
+        )  # fmt: skip
+        return error, count.value if error == TOO_SMALL else points[: count.value], first.value
+
     def save(self):
         state = ctypes.create_string_buffer(self.c.adaptrack_state_size(self.place))
         assert self.c.adaptrack_save(self.place, state, ctypes.c_size_t(len(state))) == OK

@@ -52,6 +52,12 @@ class Instance:
         ]
         return values if len(names) > 1 else values[0]
 
+    def get_array(self, name, length):
+        """The numbers of an array; in FMI 2.0 each is a variable."""
+        if self.second:
+            return [self.get(f"{name}[{i + 1}]") for i in range(length)]
+        return self.fmu.getFloat64([self.variables[name].valueReference], nValues=length)
+
     def step(self, periods=1, **values):
         self.set(**values)
         at = self.start + self.steps * self.period

@@ -139,6 +139,11 @@ class CppFollower:
             return None
         return follower.Command(*command[:3], why.value.decode(), *command[3:])
 
+    def predicted_path(self):
+        """(n, 5) of the poses of the predicted path behind a stamp of 0.9 s: ns, x, y, and z, w of the quaternion."""
+        rows = np.zeros((200, 5))
+        return rows[: self._library.ros_predicted_path(self._made, ctypes.c_void_p(rows.ctypes.data))]
+
     def control(self, command, stamp):
         """Numbers of the autoware_control_msgs/Control of a command: times (ns), then those of its parts."""
         values = numbers([command.angle, command.angle_rate, command.speed, command.request])

@@ -12,8 +12,11 @@ from adaptrack.core.physics.tyre import (
     CURVED_MAGIC_FORMULA,
     LINEAR_TYRE,
     MAGIC_FORMULA,
+    curve,
+    force_and_slope,
     friction_ellipse,
     lateral_force,
+    reach_at,
     tyre_law,
 )
 from references.vehicle import cornering_stiffness, tyre_force
@@ -110,6 +113,16 @@ def test_the_force_is_that_of_the_formula_written_with_libm_and_odd_in_slip(tyre
         assert force(-slip, load, friction) == -force(slip, load, friction)
     assert force(0.0, 4000.0, 0.9) == 0.0
     assert abs(force(0.3, 4000.0, 0.0)) < 1e-3  # on ice
+
+
+@pytest.mark.parametrize("shape", [1.05, 1.35, 1.9])
+def test_the_slip_at_a_used_share_is_the_inverse_of_the_curve(shape):
+    tyre = curve(4000.0, 1e5, 0.8, shape)
+    for used in np.linspace(0.0, 0.95, 20).tolist():
+        force, slope = force_and_slope(reach_at(used, shape) * tyre.peak / tyre.stiffness, tyre)
+        assert force == pytest.approx(used * tyre.peak, rel=1e-12, abs=1e-9)
+        exact = math.sqrt(1.0 - used**2) * math.cos(math.asin(used) / shape) ** 2  # of its slope at no slip
+        assert slope == pytest.approx(exact * tyre.stiffness, rel=1e-9)
 
 
 def test_lateral_and_longitudinal_force_share_a_circle(rng):

@@ -163,6 +163,32 @@ def test_a_name_of_a_scenario_and_of_a_road_is_refused(monkeypatch):
         is_road("twon")
 
 
+def test_a_drive_behind_a_planner_says_how_it_keeps_to_road_and_plan(output_of, answer_of, tmp_path):
+    words = [
+        "country",
+        "--road-seed",
+        1,
+        "--length",
+        300,
+        "--vehicle",
+        "midsize-sedan",
+        "--start",
+        0,
+        "--stop",
+        "100:1",
+    ]
+    words += ["--planner", "delay=0.1,jitter=0.05"]
+    assert re.search(
+        r"RMS error, .* RMS speed error; 1 stop, largest error", output_of("drive", *words, "--out", tmp_path)
+    )
+    (row,) = answer_of("drive", *words)["rows"]
+    assert row["failed"] is None
+    assert row["rms_error"] < 0.05
+    assert abs(row["time_lost"]) < 1.0
+    run = Trajectory.load(tmp_path / "country-1-informed.parquet")
+    assert run.diagnostics["late"].shape == run.t.shape
+
+
 # -- speed ------------------------------------------------------------------------------------------------------------
 def test_a_drive_with_speed_control_says_its_speed_error_stops_and_delay_and_shows_what_limits_it(
     output_of, answer_of, tmp_path

@@ -46,10 +46,23 @@ def test_a_driver_is_made_by_its_name_with_its_options():
     ({"drivers": ["speed-control:friction=0.9:0.6"]}, r"friction = \(0.9, 0.6\)"),
     ({"drivers": ["driver"], "budget": 50}, "need budget = 0"),
     ({"frictions": [0.0]}, "greater than 0"),
+    ({"planner": "delay=soon"}, "planner 'delay=soon': could not convert string to float"),
+    ({"planner": "delay=0.1", "budget": 50}, "planner: needs budget = 0"),
+    ({"planner": "delay=0.1", "drivers": ["speed-control", "driver"]}, "planner: does not drive with 'driver'"),
 ])  # fmt: skip
 def test_a_driver_that_is_not_possible_is_refused_with_the_reason(changes: dict[str, Any], words: str):
     with pytest.raises(at.AdaptrackError, match=words):
         ComparisonConfig(**{**TINY, **changes})
+
+
+def test_controllers_behind_a_planner_are_compared_with_equal_noise():
+    task = ComparisonConfig(**TINY | {"contenders": ["informed", "stanley"]}, planner="delay=0.1")
+    columns = run_comparison(task).columns
+    assert not columns["failed"].any()
+    assert columns["contender"].tolist() == ["informed", "stanley"]
+    assert (columns["rms_error"] < 0.5).all()
+    with pytest.raises(at.InvalidInput, match="has no road along which to plan"):
+        run_comparison(ComparisonConfig(**TINY | {"roads": ["random-drive:1"]}, planner="delay=0.1"))
 
 
 def test_drivers_need_a_road_and_a_plant_that_forces_move(monkeypatch: pytest.MonkeyPatch):

@@ -342,6 +342,7 @@ def test_the_scheduler_knows_the_estimates():
     (lambda: FrictionWindEstimator(CAR, noise_vy=math.nan), "noise_vy", "finite"),
     (lambda: FrictionWindEstimator(CAR, noise_acceleration="fast"), "noise_acceleration", "number"),
     (lambda: FrictionWindEstimator(CAR).step([0.0] * 3, 10.0, 0.0), "measured", "expected \\(4,\\)"),
+    (lambda: FrictionWindEstimator(CAR).step([0.0] * 4, None, 0.0), "speed", "NaN if it was not measured"),
 ])  # fmt: skip
 def test_what_the_estimator_refuses(make, argument, words):
     with pytest.raises(InvalidInput, match=f"{argument}.*{words}"):

@@ -7,13 +7,20 @@ import math
 import numpy as np
 import pytest
 
+import adaptrack as at
 from adaptrack import MPC, DualTrack, Learning, RoadDrive, SpeedControl, generate_road, load_vehicle, plan_speed
+from adaptrack.cars.vehicle import pack_plant
 from adaptrack.control.estimation import NOTHING_MEASURED
+from adaptrack.control.speed_control import SpeedController
 from adaptrack.core.controllers import informed
+from adaptrack.core.estimators import learning
 from adaptrack.core.estimators.learning import memory_of
+from adaptrack.core.models import path
+from adaptrack.core.models.car import unpack
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.physics.tyre import brush_slope
+from adaptrack.core.physics.tyre import BRUSH_SHAPE, brush_slope, curve, force_and_slope, reach_at
+from adaptrack.core.speed import friction as friction_kernel
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.road import Arc, Comfort, Line, Road
@@ -71,6 +78,139 @@ def test_a_bend_that_asks_for_less_than_a_sixty_fourth_of_the_grip_is_a_straight
 
 def test_the_other_direction_has_the_same_slope():
     assert informed.rear_slope(-5.0, 0.9) == informed.rear_slope(5.0, 0.9)
+
+
+# -- the slopes of different curves -----------------------------------------------------------------------------------
+SHARES = np.linspace(0.0, 0.8, 81)
+"""Used shares of the grip."""
+
+
+def local_slope(used: float, shape: float) -> float:
+    """Exact slope of a curve over that at no slip, at a used share of its largest force."""
+    reach = 3.0 * (1.0 - (1.0 - used) ** (1 / 3)) if shape == BRUSH_SHAPE else reach_at(used, shape)
+    force, slope = force_and_slope(reach, curve(1.0, 1.0, 1.0, shape))
+    assert force == pytest.approx(used, abs=1e-12)
+    return slope
+
+
+def slope_of_learner(used: float) -> float:
+    """Slope of the learner's curve, x/sqrt(1 + x^2)."""
+    axle = learning._axle(used / math.sqrt(1.0 - used * used), 1.0, 1.0)
+    assert axle.force == pytest.approx(used, abs=1e-12)
+    return axle.by_slip
+
+
+@pytest.mark.parametrize("name", at.list_vehicles())
+def test_learner_friction_and_prediction_have_the_same_slope_at_no_slip(name):
+    car = load_vehicle(name)
+    mpc, stiffness, balance = MPC(car, profile="road", learning=Learning()), 1.3, 0.9
+    records, learned = mpc._mpc.informed, mpc._mpc.informed.learned[0]
+    p, beliefs = learning.parameters_of(records.learner, 0), memory_of(learned, 0).beliefs
+    candidate = learning.hypothesis(0, p.commands, learned)
+    candidate.x[:] = 0.0
+    candidate.x[learning.STIFFNESS_SCALE], candidate.x[learning.BALANCE] = math.log(stiffness), 0.5 * math.log(balance)
+    beliefs.used_stiffness, beliefs.used_balance = beliefs.belief_stiffness, beliefs.belief_balance = stiffness, balance
+    learning.believe(records.learner, learned, mpc._mpc.parameters, records.estimator, records.estimates[0])
+    predicted = path.parameters_of(mpc._mpc.parameters, 0)
+
+    axles = learning._axles(candidate, SPEED, 0.0, p)
+    knowledge = friction_kernel._knowledge(learned, None)
+    c = unpack(pack_plant(car, at.load_tyre(car.tyre), at.SteeringActuator(lag=0.1, rate=1.0, limit=0.5)))
+    hypothesis = friction_kernel.FRICTION_HYPOTHESIS.new(1)[0]
+    hypothesis.grip, hypothesis.tyre_shape = 0.8, BRUSH_SHAPE
+    loads = (c.mass * GRAVITY * lever / car.wheelbase for lever in (car.lr, car.lf))
+    sides = (predicted.stiffness_front, c.stiffness_front, 0.5), (predicted.stiffness_rear, c.stiffness_rear, -0.5)
+    for axle, load, (expected, in_file, power) in zip(axles, loads, sides, strict=True):
+        assert axle.by_slip * p.mass == pytest.approx(2.0 * expected, rel=1e-12)
+        factor = knowledge.stiffness * knowledge.balance**power
+        slope = friction_kernel._axle(0.0, load, 0.0, factor * in_file, hypothesis, c)[1]
+        assert slope == pytest.approx(2.0 * expected, rel=3e-4)
+
+
+def test_the_prediction_is_as_soft_as_a_brush_at_every_64th_of_the_grip_and_stiffer_by_at_most_5_percent_between():
+    ratios = np.array([informed.rear_slope(used * GRAVITY, 1.0) / local_slope(used, BRUSH_SHAPE) for used in SHARES])
+    assert (ratios >= 1.0 - 1e-9).all()
+    assert (ratios[SHARES <= 0.5] < 1.02).all()
+    assert (ratios < 1.05).all()
+    for used in np.arange(52) / 64.0:
+        exact = local_slope(used, BRUSH_SHAPE)
+        assert informed.rear_slope((used + 1e-9) * GRAVITY, 1.0) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize(("shape", "least", "most"), [
+    (BRUSH_SHAPE, 1.0, 1.0), (1.2, 0.875, 1.112), (1.35, 0.849, 1.0), (1.6, 0.800, 1.0), (1.9, 0.731, 1.0),
+])  # fmt: skip
+def test_up_to_four_fifths_of_the_grip_other_curves_differ_from_a_brush_by_what_the_documentation_says(
+    shape, least, most
+):
+    ratios = [brush_slope(used) / local_slope(used, shape) for used in SHARES]
+    assert min(ratios) == pytest.approx(least, abs=1e-3)
+    assert max(ratios) == pytest.approx(most, abs=1e-3)
+
+
+def test_the_learners_own_curve_is_softer_than_a_brush_from_55_percent_of_the_grip_on():
+    ratios = np.array([brush_slope(used) / slope_of_learner(used) for used in SHARES])
+    assert ratios.min() == pytest.approx(0.908, abs=1e-3)
+    assert ratios.max() == pytest.approx(1.583, abs=1e-3)
+    assert (np.diff(ratios >= 1.0)[1:].nonzero()[0] + 1 == [54]).all()
+
+
+def learn_on_curve(law, share: float, seconds: float = 60.0) -> np.ndarray:
+    """Learned stiffness over the true one, and its sigma, of a car that weaves at a share of the grip.
+
+    law: lateral force over friction times load, of stiffness times slip over it.
+    """
+    world = at.load_profile("road")
+    mpc = MPC(CAR, profile=world, learning=Learning())
+    parameters, memory = mpc.learner.parameters(), mpc.learner.fresh()
+    beliefs, random = memory_of(memory, 0).beliefs, np.random.default_rng(1)
+    wheels, vy, r, count, sent = 0.0, 0.0, 0.0, 25, [0.0, 0.0]
+    step, grip, weight = world.period / count, 0.9 * GRAVITY, 0.9 * CAR.mass * GRAVITY / CAR.wheelbase
+    learned = []
+    for k in range(round(seconds / world.period)):
+        demand = share * grip / SPEED * min(max(2.0 * math.sin(2.0 * math.pi * k / 160.0), -1.0), 1.0)
+        measured = NOTHING_MEASURED.copy()
+        measured[MEASUREMENT.yaw_rate] = r + 0.003 * random.standard_normal()
+        measured[MEASUREMENT.vy] = vy + 0.05 * random.standard_normal()
+        measured[MEASUREMENT.motion_age] = 0.0
+        learning.learn(SPEED, measured, sent[0], 0, parameters, memory)
+        sent = [0.2 * (demand - r) + demand * CAR.wheelbase / SPEED, sent[0]]
+        for _ in range(count):
+            wheels += step / world.steering.lag * (sent[1] - wheels)
+            slips = wheels - (vy + CAR.lf * r) / SPEED, -(vy - CAR.lr * r) / SPEED
+            loads = weight * CAR.lr, weight * CAR.lf
+            stiffness = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
+            front, rear = (load * law(c * slip / load) for load, c, slip in zip(loads, stiffness, slips, strict=True))
+            vy += step * ((front + rear) / CAR.mass - SPEED * r)
+            r += step * (CAR.lf * front - CAR.lr * rear) / CAR.yaw_inertia
+        learned.append((beliefs.belief_stiffness, beliefs.belief_stiffness_sigma))
+    return np.array(learned[round(30.0 / world.period) :])
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("share", [0.4, 0.6, 0.8])
+@pytest.mark.parametrize(("law", "least"), [
+    (lambda x: x / math.sqrt(1.0 + x * x), 0.94), (math.tanh, 0.94),
+    (lambda x: math.sin(1.9 * math.atan(x / 1.9)), 0.94),
+    (lambda x: math.copysign(1.0 - max(1.0 - abs(x) / 3.0, 0.0) ** 3, x), 0.88),
+], ids=["learner", "tanh", "magic formula 1.9", "brush"])  # fmt: skip
+def test_a_learner_finds_the_slope_at_no_slip_of_tyres_with_another_curve(law, least, share):
+    stiffness, sigma = learn_on_curve(law, share).T
+    assert (stiffness > least).all()
+    assert (stiffness < 1.06).all()
+    assert (np.abs(np.log(stiffness)) < 1.5 * sigma).all()  # and says how sure it is
+
+
+def test_guard_and_governor_know_of_the_tyres_their_friction_alone():
+    road = generate_road("lap", seed=5)
+    settings = [
+        SpeedController(SpeedControl(car, friction=0.8), road, plan_speed(road, CAR), 0.05).record.settings
+        for car in (CAR, CAR.replace(tyre="magic-formula", stiffness_front=3e4, stiffness_rear=9e4))
+    ]
+    differs = {
+        name for name, *values in zip(settings[0]._fields, *settings, strict=True) if len(set(map(str, values))) > 1
+    }
+    assert differs == {"friction", "friction_high", "straight_ratio"}  # largest steady acceleration of the plan's tyre
 
 
 # -- where it is ------------------------------------------------------------------------------------------------------

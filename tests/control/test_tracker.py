@@ -365,6 +365,26 @@ def test_the_prediction_in_a_steady_bend_is_what_is_driven():
     assert np.abs(predicted - places).max() < 0.03
 
 
+@pytest.mark.parametrize("road", [at.Road.from_segments([Line(length=400.0)], start=(3.0, -2.0, 0.5)), CIRCLE])
+def test_a_car_on_its_path_is_predicted_there_a_period_of_driving_from_point_to_point(road):
+    """At 10 m/s: on the straight, and on the circle all at one distance from its centre, (delay + 1) T, ... ahead."""
+    tracker = at.Tracker(informed(), road)
+    run = drive(tracker, road, 6.0, car=on_road(road, speed=10.0), noise=EXACT)
+    time, _ = tracker.controller.predicted_output()
+    ahead = road.at(run.calls[-1][1].station + 10.0 * time)
+    assert np.diff(time) == pytest.approx(tracker.period)
+    assert tracker.predicted_path() == pytest.approx(np.stack([ahead.x, ahead.y], axis=-1), abs=0.001)
+
+
+def test_a_path_is_predicted_from_the_first_step_on_it():
+    tracker = at.Tracker(informed(), SHORT)
+    assert tracker.predicted_path().shape == (0, 2)
+    at_rest(tracker, speed=10.0)
+    assert tracker.predicted_path().shape == (30, 2)
+    tracker.follow(ROAD)
+    assert tracker.predicted_path().shape == (0, 2)
+
+
 def test_a_plan_tells_of_the_speeds_to_come():
     """Braking into a bend that a constant 15 m/s would meet earlier."""
     easing = Clothoid(length=20.0, start_curvature=0.0, end_curvature=1 / 25)
@@ -406,15 +426,21 @@ def test_a_law_without_positions_holds():
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
+MEASURED = ("t", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "grade")
+
+
 @pytest.mark.parametrize(("call", "message"), [
     (lambda mpc: at.Tracker("informed", SHORT), "must be a Controller"),
     (lambda mpc: at.Tracker(at.published_mpc(CAR, scheduler=lambda _: (10, 2, 1.0, 1.0)), SHORT), "has a scheduler"),
     (lambda mpc: at.Tracker(mpc, [(0.0, 0.0), (1.0, 0.0)]), "must be a Road"),
     (lambda mpc: at.Tracker(mpc, SHORT, plan=at.plan_speed(ROAD)), "must be a SpeedPlan of this path"),
     (lambda mpc: at.Tracker(mpc, SHORT, furthest=0.0), "furthest"),
-    (lambda mpc: at.Tracker(mpc, SHORT).predicted_path(), "made a step"),
+    (lambda mpc: at.Tracker(at.Stanley(CAR), SHORT).predicted_path(), "Stanley does not predict: give an MPC"),
     (lambda mpc: at.Tracker(mpc, SHORT).step(math.nan, 0.0, 0.0, 0.0, 10.0), "the time of the call"),
     (lambda mpc: at.Tracker(mpc, SHORT).step(0.0, "0", 0.0, 0.0, 10.0), "must be a number"),
+    (lambda mpc: at.Tracker(mpc, SHORT).step(None, 0.0, 0.0, 0.0, 10.0), "t = None: must be a number[.]"),
+    *((lambda mpc, name=name: at.Tracker(mpc, SHORT).step(**dict.fromkeys(MEASURED, 0.0) | {name: None}),
+       f"{name} = None: must be a number \\(NaN if it was not measured\\)") for name in MEASURED[1:]),
     (lambda mpc: at.Tracker(mpc, SHORT).engage(math.nan), "finite"),
     (lambda mpc: at.yaw_of((0.0,) * 4), "four finite numbers"),
     (lambda mpc: at.yaw_of((1.0, 0.0, 0.0)), "four finite numbers"),

@@ -3,14 +3,13 @@
 import ctypes.util
 import math
 import pickle
-import time
 
 import numpy as np
 import pytest
 
 import adaptrack as at
 from adaptrack.core import library
-from adaptrack.core.kernel import INTERPRETED, float64, vector, void
+from adaptrack.core.kernel import INTERPRETED, INTERRUPTS, float64, vector, void
 from adaptrack.core.member import member
 from adaptrack.core.plants.user import compile_plant
 from adaptrack.core.roads.road import RoadAheadRecord
@@ -107,18 +106,32 @@ def test_what_is_raised_in_a_function_that_is_called_back_is_said_once_and_nothi
     assert [entry.message for entry in caplog.records] == ["adaptrack: fails raised ZeroDivisionError('in the middle')"]
 
 
-def test_ctrl_c_in_a_function_that_is_called_back_is_heard(no_compiler):
-    def interrupted(a, out):
-        raise KeyboardInterrupt
+def interrupted(*arguments):
+    """A user function in which Ctrl-C arrives."""
+    raise KeyboardInterrupt
 
-    function = member(interrupted, void(vector, vector))
 
-    def call_and_go_on():
-        function(np.zeros(1), np.zeros(1))
-        time.sleep(30.0)
+def call_alone(function):
+    member(function, void(vector, vector))(np.zeros(1), np.zeros(1))
 
-    with pytest.raises(KeyboardInterrupt):
-        call_and_go_on()
+
+def drive_a_plant(function):
+    path_of(at.UserPlant(lambda *arguments: function(*arguments), PARAMETERS, mass=1575.0))
+
+
+def track_a_path(function):
+    law = at.UserController(lambda *arguments: function(*arguments))
+    at.Tracker(law, at.generate_road("lap")).step(0.0, 0.0, 0.0, 0.0, 10.0)
+
+
+@pytest.mark.parametrize("call", [call_alone, drive_a_plant, track_a_path])
+def test_ctrl_c_in_a_function_that_is_called_back_is_raised_when_its_kernel_returns(no_compiler, call):
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt) as raised:
+            call(interrupted)
+        assert raised.traceback[-1].name == "interrupted"  # the traceback leads to it
+    call_alone(lambda a, out: None)  # nothing is left of it
+    assert not INTERRUPTS
 
 
 def test_a_plant_in_c_drives_as_ours_alone_and_in_a_batch(tmp_path, compiled):

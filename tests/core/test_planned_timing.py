@@ -62,6 +62,13 @@ def test_at_a_place_of_rest_the_time_is_that_of_the_arrival_and_an_end_at_rest_i
     assert memory_after(planned(AT_ONCE), 1e6, 18.75).is_leaving == 0
 
 
+def test_a_car_behind_a_trajectory_that_creeps_to_its_rest_is_not_late_by_the_time_of_creeping_there():
+    speeds = speeds_of([(0.01, -2.0)], 0.02, start=5.0)
+    assert time_at(-0.4, speeds) == 5.0
+    assert place_at(4.0, speeds) == (0.0, 0.0)
+    assert memory_after(planned(speeds), 5.0, -0.4).late == 0.0
+
+
 # -- the law ----------------------------------------------------------------------------------------------------------
 def test_a_car_on_time_is_not_corrected():
     for time in np.linspace(5.0, 25.0, 401):

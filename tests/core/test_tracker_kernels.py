@@ -10,7 +10,7 @@ import adaptrack as at
 from adaptrack.control.tracker import packed_plan, tracking_of
 from adaptrack.core.kernel import direct, fields_of
 from adaptrack.core.tracker.signals import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED, TRACKER_SAMPLE
-from adaptrack.core.tracker.step import tracker_step
+from adaptrack.core.tracker.step import tracker_predict, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow, tracker_take
 from adaptrack.road import Arc, Line
 from adaptrack.road.road_ahead import pack_roads, stacked
@@ -76,6 +76,25 @@ def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rn
     assert math.isfinite(expected[0])
 
 
+@pytest.mark.parametrize("name", ["informed", "learning", "Stanley"])
+def test_a_kernel_predicts_the_path_of_the_class_to_the_bit_where_it_fits(name):
+    tracker, (tracking, step) = at.Tracker(MAKERS[name](), ROAD, plan=PLAN), compiled(MAKERS[name](), plan=PLAN)
+    points = np.full(61, 5.0)
+    assert tracker_predict(tracking, points)[0] == 0
+    for k in range(3):
+        sample = (0.05 * k, 2.0 + 0.5 * k, 0.3, 0.0, 10.0, 0.01)
+        tracker.step(*sample)
+        call(tracking, step, sample[0], *sample)
+    if name == "Stanley":
+        assert tracker_predict(tracking, points)[0] == 0
+        return
+    assert tracker_predict(tracking, points[:59])[0] == 30
+    assert (points == 5.0).all()
+    count, first = tracker_predict(tracking, points)
+    assert (count, first, points[60]) == (30, tracker.controller.predicted_output()[0][0], 5.0)
+    np.testing.assert_array_equal(points[:60].reshape(-1, 2), tracker.predicted_path())
+
+
 # -- hostile calls ----------------------------------------------------------------------------------------------------
 
 
@@ -85,7 +104,7 @@ def test_a_call_without_a_time_is_left_out():
     for time in (math.nan, math.inf):
         answer = call(tracking, step, time, time, 50.0, 9.0, 1.0, 3.0)
         assert answer[TRACKED.status] == NO_TIME
-        assert answer[:1] + answer[2:] == first[:1] + first[2:]
+        np.testing.assert_array_equal(answer[:1] + answer[2:], first[:1] + first[2:])
     assert call(tracking, step, 0.0, math.nan, 0.0, 0.0, 0.0, 10.0)[TRACKED.status] == REPEATED
 
 

@@ -1,7 +1,6 @@
 """Simulated planners: what they send and when, and drives of a tracker behind them."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +8,9 @@ import pytest
 import adaptrack as at
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.drive.planner import PlannedController, SimulatedPlanner, arrival_times, make_planner
-from adaptrack.road import Arc, Line, Stop, constant_speed, plan_speed
+from adaptrack.road import Arc, Line, Stop, plan_speed
 from adaptrack.road.road import Road
+from adaptrack.road.speed import constant_speed
 
 CAR = at.load_vehicle("midsize-sedan")
 BEND = Road.from_segments([Line(length=100.0), Arc(length=200.0, curvature=0.01)])
@@ -53,7 +53,9 @@ def test_trajectories_on_the_line_are_places_times_and_speeds_of_the_plan_and_st
             np.testing.assert_allclose(speed[is_known], planned[is_known], rtol=0, atol=1e-2)
             np.testing.assert_allclose(np.cos(yaw - line.heading), 1.0, rtol=0, atol=1e-6)
             assert (np.diff(t) >= 0.0).all()
-            assert t[-1] == pytest.approx(4.0)
+            assert t[-1] == pytest.approx(
+                4.0 if drive is LAPS else min(4.0, drive.duration - trajectory.stamp), abs=1e-6
+            )
             assert fallback is None
             longest_pause = max(longest_pause, np.diff(t)[np.hypot(np.diff(x), np.diff(y)) == 0.0].max(initial=0.0))
     assert longest_pause == pytest.approx(drive.plan.stops[0].seconds)
@@ -66,7 +68,7 @@ def test_trajectories_from_the_pose_begin_there_in_the_direction_of_motion_and_r
     ((trajectory, _),) = run.step(sample_on(drive, 0.0, offset=0.4, turn=-0.05, drift=drift))
     t, x, y, yaw, _ = columns(trajectory)
     assert (t[0], x[0], y[0]) == pytest.approx((0.0, 0.0, 0.4))
-    assert yaw[0] == pytest.approx(drift - 0.05)
+    assert yaw[0] == pytest.approx(drift - 0.05, abs=1e-4)
     np.testing.assert_allclose(yaw[1:-1], np.arctan2(np.gradient(y), np.gradient(x))[1:-1], rtol=0, atol=1e-4)
     np.testing.assert_allclose(y[x > 30.0], 0.0, rtol=0, atol=1e-12)  # 3 s at 10 m/s
     np.testing.assert_allclose(x, 10.0 * t, rtol=0, atol=1e-9)
@@ -89,7 +91,7 @@ def test_a_planner_that_starts_from_the_pose_leaves_a_stop_after_its_time():
         t, x, y, *_ = columns(trajectory)
         begins[round(time - arrival, 1)] = t[np.hypot(x - x[0], y - y[0]) < 2.0 * short].max()
     assert begins[1.0] == pytest.approx(2.0, abs=0.3)  # still to wait
-    assert begins[4.0] == pytest.approx(0.0, abs=0.3)
+    assert begins[4.0] == pytest.approx(0.0, abs=0.3)  # however long the car hesitates
 
 
 def test_trajectories_arrive_after_delay_and_jitter_and_the_first_at_once():
@@ -169,7 +171,6 @@ def test_a_start_from_the_pose_hides_an_offset_that_a_start_on_the_line_does_not
     drive = at.RoadDrive(road, constant_speed(road, 10.0), start_offset=0.5)
     offsets = []
     for start in ("line", "pose"):
-        controller = planned(replace(SimulatedPlanner(), start=start))
-        run = at.simulate(at.DualTrack(CAR), controller, drive, profile="road")
-        offsets.append(float(np.abs(run.road["offset"])[(run.t > 2.0) & (run.t < 3.0)].mean()))
-    assert offsets[0] < 0.1 < offsets[1]
+        run = at.simulate(at.DualTrack(CAR), planned(SimulatedPlanner(start=start)), drive, profile="road")
+        offsets.append(float(np.interp(1.0, run.t, run.road["offset"])))
+    assert offsets[0] < 0.1 < 0.2 < offsets[1]

@@ -139,6 +139,54 @@ def test_every_step_is_that_of_python(name, library_of, way, caplog):
     assert count_differences(library_of, way, name, 400) == 0
 
 
+@pytest.mark.parametrize("name", ["informed", "learning", "stanley"])
+def test_the_predicted_path_is_that_of_python_and_of_a_restored_tracker_to_the_bit(name, library_of, way):
+    library, rng, lengths = library_of(name), np.random.default_rng(3), []
+    tracker, twin = start_tracker(library, way), at.Tracker(copy.deepcopy(library.controller), way[0], plan=way[1])
+    for sample in calls(rng, 400, way[0]):
+        tracker.step(sample)
+        if math.isfinite(sample[0]) or math.isfinite(sample[1]):
+            in_python(twin, sample)
+        error, points, first = tracker.predicted_path()
+        lengths.append(len(points))
+        assert error == exported.OK
+        if lengths[-1]:
+            assert points.tobytes() == twin.predicted_path().tobytes()
+            assert first == twin.controller.predicted_output()[0][0]
+        elif name != "stanley":
+            assert twin.predicted_path().shape == (0, 2)
+    if name == "stanley":
+        assert set(lengths) == {0}
+        return
+    assert set(lengths) == {0, library.controller.tuning.Np}
+    assert lengths.count(0) < 40
+    other = start_tracker(library, way)
+    assert other.restore(tracker.save()) == exported.OK
+    assert other.predicted_path()[1].tobytes() == points.tobytes()
+
+
+def test_a_path_is_predicted_from_the_first_instant_on_it_and_where_there_is_room(library_of, way):
+    library = library_of("informed")
+    horizon = library.controller.tuning.Np
+    tracker = CTracker(library)
+    assert tracker.predicted_path()[0] == exported.OUT_OF_ORDER
+    tracker = start_tracker(library, way)
+    assert len(tracker.predicted_path()[1]) == 0
+    tracker.step([0.0, 0.0, 1.0, 0.0, 0.0, 10.0, 0.0])
+    assert tracker.predicted_path(horizon - 1)[:2] == (exported.TOO_SMALL, horizon)
+    assert len(tracker.predicted_path(horizon)[1]) == horizon
+    begins = (
+        lambda: tracker.follow(library.path(POINTS + 1.0)),
+        lambda: tracker.load(another_tuning(way, library, R=0.1)),
+        tracker.engage,
+    )
+    for k, begin_anew in enumerate(begins, 1):
+        tracker.step([0.05 * k, 0.05 * k, 1.0 + 0.5 * k, 0.0, 0.0, 10.0, 0.0])
+        assert np.isfinite(tracker.predicted_path()[1]).sum() == 2 * horizon
+        assert begin_anew() == exported.OK
+        assert len(tracker.predicted_path()[1]) == 0
+
+
 # -- constants and state ----------------------------------------------------------------------------------------------
 def same_answers(first, other, samples):
     return all(bytes(first.step(sample)[1]) == bytes(other.step(sample)[1]) for sample in samples)
@@ -402,7 +450,10 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
         "    adaptrack::Sample sample; adaptrack::Answer answer{};\n"
         "    sample.t = 0.0; sample.x = 1.0; sample.y = 0.2; sample.yaw = 0.0; sample.speed = 10.0;\n"
         "    if (tracker.ready() || path.through(points, 20) || tracker.follow(path) || tracker.step(sample, answer))\n"
-        "        return 1;\n    return answer.status == ADAPTRACK_STATUS_OK && answer.command < 0.0 ? 0 : 2;\n}\n"
+        "        return 1;\n    if (answer.status != ADAPTRACK_STATUS_OK || answer.command >= 0.0) return 2;\n"
+        "    double way[2 * ADAPTRACK_HORIZON], first = 0.0;\n    std::size_t count = 0;\n"
+        "    if (tracker.predicted_path(way, ADAPTRACK_HORIZON, count, first)) return 3;\n"
+        "    return count == ADAPTRACK_HORIZON && first > ADAPTRACK_PERIOD && way[0] > 1.0 + 9.9 * first ? 0 : 4;\n}\n"
     )
     exported.run_cpp(library_of("informed"), text, tmp_path)
 

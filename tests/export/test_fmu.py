@@ -211,6 +211,37 @@ def test_the_controller_is_the_tracker_to_the_bit(name, has_motion_age, folder):
     assert states[-1][0] != states[0][0]
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_the_controller_predicts_the_path_of_the_tracker_to_the_bit(version, folder):
+    tracker, horizon = at.Tracker(LOOPS["learning"][0](), country().road, plan=country().plan), 30
+    assert tracker.controller.tuning.Np == horizon
+
+    def watch(k, sample, mind):
+        instant = k * mind.period
+        tracker.step(
+            instant - sample["age"], *(sample[name] for name in ("x", "y", "yaw", "speed", "yaw_rate")),
+            wheel_angle=sample["wheel_angle"], now=instant, motion_time=instant - sample["motion_age"],
+        )  # fmt: skip
+        path, first = tracker.predicted_path(), tracker.controller.predicted_output()[0][0]
+        assert mind.get("predicted_count") == len(path) == horizon
+        assert same(mind.get("predicted_delay"), first)
+        assert same([mind.get_array(name, horizon) for name in ("predicted_x", "predicted_y")], path.T)
+
+    drive(folder, "learning", version=version, periods=40, watch=watch)
+
+
+def test_where_nothing_is_predicted_the_arrays_are_nan_and_laws_have_none(folder):
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    for version in ("2.0", "3.0"):
+        mind = Instance(pilot(folder, "informed", version), folder)
+        assert mind.get("predicted_count") == 0
+        assert np.isnan(mind.get_array("predicted_x", 30)).all()
+    for length in (1, 29, 31):
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            mind.get_array("predicted_x", length)
+    assert not any(name.startswith("predicted") for name in Instance(pilot(folder, "stanley"), folder).variables)
+
+
 def test_a_schedule_is_given_friction_and_wind_that_are_known(folder):
     controller = at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn"))
     tracking = tracking_of(controller, country().road, country().plan)

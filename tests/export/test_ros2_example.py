@@ -508,6 +508,10 @@ def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind, tmp_path):
             if k in (120, 124):
                 node.engage(k == 124, 0.02)
             commands.append(node.tick(time))
+        if commands[-1] is not None:
+            ours, theirs = poses_of(nodes[0]), nodes[1].predicted_path()
+            assert len(ours) == len(theirs) == (0 if commands[-1].stopping else 30)
+            assert ours == pytest.approx(theirs, rel=1e-12, abs=1e-12)
     stopped = [command is None or bool(command.stopping) for command in sent[0]]
     assert 10 < sum(stopped) < 40
     for ours, theirs in zip(*sent, strict=True):
@@ -516,6 +520,47 @@ def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind, tmp_path):
             assert ours[:3] == theirs[:3]
             assert bool(ours.stopping) == bool(theirs.stopping)
             assert np.array_equal(ours[4:], theirs[4:], equal_nan=True)
+
+
+def poses_of(node):
+    """(n, 5) of the poses of the predicted path behind a stamp of 0.9 s: ns, x, y, and z, w of the quaternion."""
+    message = path([])
+    messages.fill_path(message, ros_messages.stamp(0.9), "map", node.predicted_path(), pose_stamped)
+    assert {place.header.frame_id for place in message.poses} <= {message.header.frame_id} == {"map"}
+    rows = [
+        (1e9 * place.header.stamp.sec + place.header.stamp.nanosec, place.pose.position.x, place.pose.position.y,
+         place.pose.orientation.z, place.pose.orientation.w) for place in message.poses
+    ]  # fmt: skip
+    return np.array(rows).reshape(-1, 5)
+
+
+def test_the_predicted_path_begins_behind_the_dead_time_and_points_along_the_way():
+    """Across a straight at 5 m/s: the times of the poses are those at which a car of this speed is there."""
+    node, turned = follower.Follower(), 0.7
+    way = STRAIGHT @ np.array([[math.cos(turned), math.sin(turned)], [-math.sin(turned), math.cos(turned)]])
+    node.path(path(way))
+    x, y = 20.0 * math.cos(turned), 20.0 * math.sin(turned)
+    assert len(node.predicted_path()) == 0
+    node.pose(odometry(0.0, x, y, turned, speed=5.0))
+    node.tick(0.0)
+    rows = poses_of(node)
+    delays = 1e-9 * rows[:, 0] - 0.9
+    distances = np.hypot(rows[:, 1] - x - CAR.lr * math.cos(turned), rows[:, 2] - y - CAR.lr * math.sin(turned))
+    assert delays == pytest.approx(delays[0] + 0.05 * np.arange(30), abs=1e-6)
+    assert delays[0] >= 0.05 + node.parameters.command_delay
+    assert np.diff(distances) == pytest.approx(0.25, abs=0.03)
+    assert distances[0] == pytest.approx(5.0 * delays[0], abs=0.05)
+    assert 2.0 * np.arctan2(rows[:, 3], rows[:, 4]) == pytest.approx(turned, abs=1e-3)
+
+
+def test_poses_of_a_car_that_is_expected_to_stand_keep_the_direction_of_the_path():
+    node = follower.Follower(Parameters(path_message="autoware_planning_msgs/Trajectory"))
+    node.path(trajectory(STRAIGHT[:, ::-1], np.sqrt(6.0 * np.maximum(41.0 - STRAIGHT[:, 0], 0.0))))
+    node.pose(odometry(0.0, 0.1, 39.0 - CAR.lr, 0.5 * math.pi, speed=math.sqrt(12.0)))
+    node.tick(0.0)
+    rows = poses_of(node)
+    assert np.hypot(*np.diff(rows[:, 1:3], axis=0).T).min() < follower.SHORT_STEP
+    assert 2.0 * np.arctan2(rows[:, 3], rows[:, 4]) == pytest.approx(0.5 * math.pi, abs=0.2)
 
 
 @pytest.mark.compiled
@@ -649,6 +694,9 @@ def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
     assert abs(float(report["offset"])) < 0.1  # from 0.3 m
     assert int(report["stamp"]) in (1003, 1004)
     assert report["disengaged"] == "0"
+    assert (report["predicted"], report["path_frame"]) == ("30", "map")
+    assert 0.05 < float(report["after"]) < 0.5
+    assert 0.0 < float(report["first"]) < 3.0 + CAR.lr
 
 
 # -- the package ------------------------------------------------------------------------------------------------------
@@ -666,6 +714,10 @@ def test_the_two_nodes_drive_each_other(monkeypatch):
     assert sent.header.stamp.sec == 1004 or sent.header.stamp.nanosec > 9e8
     assert (status.level, status.message) == (b"\x00", "following")
     assert car._car.state[3] > 2.0
+    expected = network.sent["predicted_path"][-1]
+    assert len(network.sent["predicted_path"]) == len(network.sent["drive"])
+    assert (len(expected.poses), expected.header.frame_id) == (30, "map")
+    assert expected.poses[0].pose.position.x > car._car.state[0]
     network.publish("engage", Record(data=False))
     before = len(network.sent["drive"])
     network.run(0.3)

@@ -105,6 +105,8 @@ def test_a_sample_that_shows_no_steering_ends_the_test_with_a_sentence(speed, si
     assert test.step(0.0, speed, **signals) == 0.0
     assert test.is_complete
     assert sentence in test.fault
+    with pytest.raises(InvalidInput, match=r"yaw_rate = None: must be a number \(NaN if it was not measured\)"):
+        test.step(0.0, 5.0, None)
     with pytest.raises(InvalidInput, match="SteeringTest: speed"):
         test.estimate()
 

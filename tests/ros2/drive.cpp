@@ -1,4 +1,5 @@
 // Drives the node on stand-ins of rclcpp: a car without slip and a planner, 4 s; prints what came of it.
+#include "adaptrack_ros_cpp/messages.hpp"
 #include "ros.hpp"
 
 int node_main(int argc, char **argv);
@@ -12,6 +13,7 @@ struct World {
     double x = 10.0, y = 0.3, yaw = 0.0, speed = 0.0, angle = 0.0;
     ackermann_msgs::msg::AckermannDriveStamped command;
     diagnostic_msgs::msg::DiagnosticArray status;
+    nav_msgs::msg::Path predicted;
     int commands = 0;
 
     void move(double step) {
@@ -93,7 +95,12 @@ struct World {
             });
         network.listen<diagnostic_msgs::msg::DiagnosticArray>(
             "/diagnostics", [this](const auto &message) { status = *message; });
+        network.listen<nav_msgs::msg::Path>("predicted_path", [this](const auto &message) { predicted = *message; });
         run(4.0);
+        const auto &first = predicted.poses.at(0);
+        std::printf("predicted=%zu\nfirst=%g\nafter=%g\npath_frame=%s\n", predicted.poses.size(),
+                    first.pose.position.x - x, adaptrack_ros::seconds(first.header.stamp) - network.seconds(),
+                    predicted.header.frame_id.c_str());
         std::printf("commands=%d\nspeed=%g\nstamp=%d\nframe=%s\nlevel=%d\nmessage=%s\noffset=%g\n", commands, speed,
                     command.header.stamp.sec, command.header.frame_id.c_str(), status.status.at(0).level,
                     status.status.at(0).message.c_str(), y);

@@ -153,6 +153,17 @@ int ros_tick(Handle *made, double now, double *command, char *why, std::size_t s
     write(found->stopping, why, size);
     return 1;
 }
+// How many poses the predicted path has behind a stamp of 0.9 s: ns, x, y, z and w of each.
+int ros_predicted_path(Handle *made, double *rows) {
+    nav_msgs::msg::Path path;
+    adaptrack_ros::fill_path(made->follower.predicted_path(), builtin_interfaces::msg::Time{0, 900000000}, "map", path);
+    for (const auto &each : path.poses) {
+        *rows++ = 1e9 * each.header.stamp.sec + each.header.stamp.nanosec;
+        *rows++ = each.pose.position.x, *rows++ = each.pose.position.y;
+        *rows++ = each.pose.orientation.z, *rows++ = each.pose.orientation.w;
+    }
+    return static_cast<int>(path.poses.size());
+}
 // The level; the text, then key=value in lines of their own.
 int ros_diagnosis(Handle *made, double now, char *text, std::size_t size) {
     diagnostic_msgs::msg::DiagnosticStatus status;

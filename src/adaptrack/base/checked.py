@@ -214,8 +214,8 @@ class _Argument(NamedTuple):
 
 
 # -- checks without annotations: for calls in every control period, for rows and tables -------------------------------
-def real(where: str, name: str, value: object) -> float:
-    """Return a real number as a float.
+def real(where: str, name: str, value: object, measured: bool = False) -> float:
+    """Return a real number as a float; measured: whether NaN stands for a missing one, which the message says.
 
     Raises
     ------
@@ -224,7 +224,8 @@ def real(where: str, name: str, value: object) -> float:
         with `where` and `name`.
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a number.")
+        remark = " (NaN if it was not measured)" if measured else ""
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a number{remark}.")
     try:
         return float(value)
     except OverflowError:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
+import re
 import signal
 import sys
 import threading
@@ -26,7 +27,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-from adaptrack.base.errors import AdaptrackError, StorageError
+from adaptrack.base.errors import AdaptrackError, InvalidInput, StorageError
 
 DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 
@@ -57,6 +58,7 @@ def main() -> int:
     with _noting_ctrl_c() as pressed:
         try:
             _check_surroundings()
+            _check_pairs()
             code = _run()
         except BaseException as error:
             # An import that Ctrl-C hits may end in any exception, not only in KeyboardInterrupt.
@@ -127,6 +129,13 @@ def _check_surroundings() -> None:
     if sys.stdout is None:
         raise StorageError("standard output is closed, so nothing can be printed: send it to a file, or to /dev/null.")
     os.environ.pop("MPLBACKEND", None)  # a window system; pictures are written to files
+
+
+def _check_pairs() -> None:
+    """Refuse LOW:HIGH and S:SECONDS as two words: no command takes a number that is not the value of an option."""
+    if pair := re.search(r"(--assumed-friction|--stop)[ =]([\d.]+) ([\d.]+)(?= |$)", " ".join(sys.argv)):
+        option, first, second = pair.groups()
+        raise InvalidInput(f"{option} {first} {second}: write one word with a colon, {option} {first}:{second}.")
 
 
 def _give_up_output() -> None:

@@ -95,8 +95,6 @@ def car(
     A new car needs --mass and --wheelbase. All other values are estimated from published measurements, and the car file
     lists them as estimated. Without a car, --tir makes only a tyre file.
     """
-    if out is not None and out.suffix != ".toml":
-        raise InvalidInput(f"--out {out}: must end in .toml.")
     if tir is not None and tyre_table is not None:
         raise InvalidInput("--tir and --tyre-table: give only one of them.")
     if name is not None and new != NewCar(body_style=new.body_style):
@@ -107,7 +105,7 @@ def car(
     if vehicle is None and tir is None:
         raise InvalidInput("no car: name a car, or give --mass and --wheelbase, or --tir.")
     fit = _fit(tir, tyre_table, vehicle)
-    options.make_place(out)
+    options.make_place(out, ".toml")
     vehicle, written = _write(vehicle, fit, out, as_json)
     _say(vehicle, fit, written, as_json)
     if vehicle is None or as_json:

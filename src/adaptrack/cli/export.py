@@ -214,11 +214,7 @@ def export_page(
     *,
     out: Path = option("FILE", "HTML file of the page.", ...),
     vehicle: str = options.vehicle_option("midsize-sedan"),
-    road: str = option(
-        "ROAD",
-        f"oval, {roads.ROADS_HELP}",
-        "mountain",
-    ),
+    road: str = option("ROAD", f"oval, {roads.ROADS_HELP}", "mountain"),
     speed: float | None = options.speed_option(),
     lateral_acceleration: float | None = options.lateral_acceleration_option(),
     profile: str = option("NAME", "paper, road, production or production-bus.", "road"),
@@ -233,7 +229,7 @@ def export_page(
     The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
     are the initial settings; you can change all of them on the page.
     """
-    options.make_place(out)
+    options.make_place(out, ".html")
     with show.replacing(out, aside=as_json):
         page = at.export_page(
             out, vehicle=vehicle, road=road, speed=speed, lateral_acceleration=lateral_acceleration, profile=profile,

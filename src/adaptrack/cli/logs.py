@@ -103,16 +103,12 @@ def identify(arguments: IdentifyOptions) -> None:
     from adaptrack.results.identify import identification_result, write_identification_page
 
     out, page, as_json = arguments.out, arguments.page, arguments.as_json
-    if out is not None and out.suffix != ".toml":
-        raise InvalidInput(f"--out {out}: a car file ends in .toml.")
-    if page is not None and page.suffix != ".html":
-        raise InvalidInput(f"--page {page}: a page ends in .html.")
     reading = arguments.log_columns.reading
-    options.make_place(out)
+    options.make_place(out, ".toml")
     if arguments.longitudinal:
         _identify_drive(arguments, reading)
         return
-    options.make_place(page)
+    options.make_place(page, ".html", "--page")
     with show.progress("identify") as advance:
         identified = at.identify(
             list(arguments.logs), arguments.car, mass=arguments.mass, wheelbase=arguments.wheelbase, reading=reading,

@@ -238,11 +238,13 @@ def make_folder(path: Path) -> None:
         raise StorageError(f"{path}: cannot be written to: {getattr(error, 'strerror', None) or error}.") from error
 
 
-def make_place(file: Path | None) -> None:
+def make_place(file: Path | None, ending: str = "", option: str = "--out") -> None:
     """Make the folder of an output file, unless `file` is None.
 
     Raises
     ------
+    InvalidInput
+        When the name of the file, which an option states, ends differently.
     StorageError
         When its folder cannot be written to, or what is there may not be replaced (`check_replaceable`).
     """
@@ -250,6 +252,8 @@ def make_place(file: Path | None) -> None:
 
     if file is None:
         return
+    if ending not in ("", file.suffix) and not file.is_dir():
+        raise InvalidInput(f"{option} {file}: give a file name that ends in {ending}, such as {file.stem}{ending}.")
     make_folder(file.parent)
     check_replaceable(file)
 

@@ -156,10 +156,8 @@ def train(
     from adaptrack.paper.training import purpose_of, trained_schedule
     from adaptrack.paper.training import train as train_models
 
-    if out.suffix != ".json":
-        raise InvalidInput(f"--out {out}: give a file name that ends in .json.")
     dataset = load_dataset(data)
-    options.make_place(out)
+    options.make_place(out, ".json")
     with show.progress("train") as advance:
         trained = train_models(dataset, str(model), str(targets), seed=seed, progress=advance)
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))

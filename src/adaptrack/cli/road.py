@@ -164,10 +164,8 @@ class RoadOptions:
         self, car: at.Vehicle, profile: str | at.Profile, holdable: HoldableSpeed | None
     ) -> HoldableSpeed | None:
         """Return the speeds with sufficient stability margins; None if they do not limit the plan."""
-        if self.margins is None or holdable is not None:
+        if not self.margins or holdable is not None:
             return None if self.margins is False else holdable
-        if not self.margins:
-            return None
         from adaptrack.analysis.holdable import holdable_speed
 
         with show.progress("stability margins of the controller"):
@@ -211,7 +209,7 @@ def plot(
     from adaptrack.results.road import road_picture
     from adaptrack.results.style import png, print_figure
 
-    options.make_place(out)
+    options.make_place(out, ".png")
     checked = route.look(road, at.load_vehicle(vehicle))
     write_atomically(out, png(print_figure(road_picture(checked.road, checked.plan, checked.findings))))
     show.say(f"Picture: {out}")

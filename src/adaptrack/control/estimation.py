@@ -349,7 +349,7 @@ class FrictionWindEstimator:
         if sensed.shape != (4,):
             raise InvalidInput(f"measured: shape {sensed.shape}, expected (4,): v_y, yaw, yaw rate, y.")
         felt = math.nan if acceleration is None else real("estimator", "acceleration", acceleration)
-        forward, sent = real("estimator", "speed", speed), real("estimator", "command", command)
+        forward, sent = real("estimator", "speed", speed, measured=True), real("estimator", "command", command)
         friction_wind.estimate(0, sensed, forward, sent, felt, self._packed, self._settings, self._memory)
         return self.estimate
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.kernel import OK
@@ -73,6 +74,22 @@ WHO_DRIVES = (
 """What happens, the fallback then, who drives, and how that ends."""
 
 
+CarPoint = Literal["centre of mass", "rear axle", "front axle"]
+"""A point of the car whose places are given."""
+
+
+def arm_of(name: str, point: str, car: Vehicle | None) -> float:
+    """Distance (m) from the centre of mass forwards to a point of a car; raises `InvalidInput` for an unknown car."""
+    if point == "centre of mass":
+        return 0.0
+    if car is None:
+        raise InvalidInput(
+            f"{name} = {point!r}: the controller has no car whose axles are known; use a controller with "
+            "a car, or give the centre of mass."
+        )
+    return -car.lr if point == "rear axle" else car.lf
+
+
 class Following(RecordSettings, record=records.PLANNED_SETTINGS):
     """How a planner's trajectories are followed.
 
@@ -80,7 +97,7 @@ class Following(RecordSettings, record=records.PLANNED_SETTINGS):
     make up for lateness, and stops without a fallback.
     """
 
-    tracked_point: Literal["centre of mass", "rear axle", "front axle"] = "centre of mass"
+    tracked_point: CarPoint = "centre of mass"
     comfort: Comfort = DEFAULT_COMFORT
 
 
@@ -108,15 +125,10 @@ class PlannerFollower:
     """Takes in trajectories for a tracker, and keeps the newest one and its fallback."""
 
     def __init__(self, following: Following, controller: Controller) -> None:
-        self.following, car = following, controller.vehicle
-        arms = {"centre of mass": 0.0} if car is None else {
-            "centre of mass": 0.0, "rear axle": -car.lr, "front axle": car.lf
-        }  # fmt: skip
-        if following.tracked_point not in arms:
-            raise InvalidInput("Following: tracked_point: the controller knows no car, and so not where its axles are.")
+        self.following, arm = following, arm_of("tracked_point", following.tracked_point, controller.vehicle)
         settings = records.PLANNED_SETTINGS.new(1)
         settings[0] = following.row
-        settings["tracked_arm"], settings["position_noise"] = arms[following.tracked_point], controller.position_noise
+        settings["tracked_arm"], settings["position_noise"] = arm, controller.position_noise
         settings["period"] = controller.period
         memory, speeds = records.PLANNED_MEMORY.new(1), records.PlannedSpeeds(*(np.zeros(0),) * 4)
         self.planned = records.Planned(settings, memory, speeds, np.zeros((0, 3)), np.zeros(2 * FAR_PLACES))

@@ -30,7 +30,16 @@ from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
-from adaptrack.control.following import DRIVERS, DrivenBy, FollowedPlan, Following, PlannerFollower, Verdict
+from adaptrack.control.following import (
+    DRIVERS,
+    CarPoint,
+    DrivenBy,
+    FollowedPlan,
+    Following,
+    PlannerFollower,
+    Verdict,
+    arm_of,
+)
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
@@ -39,6 +48,7 @@ from adaptrack.core.kernel import Resident, address_of, direct, fields_of
 from adaptrack.core.layout import empty
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
+from adaptrack.core.planned.clock import FUTURE
 from adaptrack.core.planned.records import FALLBACK, PLANNER, Planned
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
@@ -149,6 +159,8 @@ class Tracker:
         decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
     following : Following, optional
         How trajectories of a planner are followed.
+    sample_point : str
+        Point of the car whose x and y samples have: "centre of mass", "rear axle" or "front axle".
     furthest : float
         From the path, beyond which the status says so.
     record : path, optional
@@ -172,6 +184,7 @@ class Tracker:
         plan: SpeedPlan | None = None,
         speed: SpeedControl | None = None,
         following: Following | None = None,
+        sample_point: CarPoint = "centre of mass",
         furthest: Annotated[Bound, "m"] = 10.0,
         record: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -202,7 +215,9 @@ class Tracker:
             self._speed.estimate_friction(controller)
         self._check = input_check_of(controller)
         planned = None if self._planner is None else self._planner.planned
-        self._load(tracker_of(controller, path, plan, furthest, self._check, planned))
+        kernel = tracker_of(controller, path, plan, furthest, self._check, planned)
+        kernel.settings["sample_arm"] = arm_of("sample_point", sample_point, controller.vehicle)
+        self._load(kernel)
         self._recorder = None if record is None else Recorder(record)
         if self._recorder is not None:
             weakref.finalize(self, self._recorder.close)
@@ -365,6 +380,9 @@ class Tracker:
         verdict = self._go_over_to(trajectory, now, PLANNER)
         if fallback is not None and verdict in (Verdict.TAKEN, Verdict.SAME):
             self._planner.fallback = fallback, now
+        offset = float(self._kernel.planned.memory[0].clock_offset)
+        if abs(offset) > FUTURE:
+            self._warn_once("clock", "the clock of the planner differs: %.3g s are added to its stamps.", offset)
         if verdict in (Verdict.STALE, Verdict.EARLY, Verdict.OLDER):
             self._warn_once(verdict, "a trajectory was refused, it is %s: its stamp is %.3f s, it arrived at %.3f s; "
                             "see docs/planner.md.", verdict, trajectory.stamp, now)  # fmt: skip
@@ -391,7 +409,11 @@ class Tracker:
         silence, why = self._planner.following.silence, "it has left no fallback that is fresh enough"
         if (fallback := self._planner.fresh_fallback(now)) is not None:
             why = "its fallback does not begin at the car, or asks for more grip than is assumed"
-            if self._go_over_to(fallback, now, FALLBACK) is Verdict.TAKEN:
+            try:
+                verdict = self._go_over_to(fallback, now, FALLBACK)
+            except InvalidInput as error:  # a step goes on whatever a planner has sent
+                verdict, why = Verdict.UNFIT, str(error)
+            if verdict is Verdict.TAKEN:
                 _log.warning("adaptrack: no trajectory for %.2g s: the car follows the fallback.", silence)
                 return
         _log.warning("adaptrack: no trajectory for %.2g s: the car stops along the last one, %s.", silence, why)
@@ -576,16 +598,18 @@ class Tracker:
     def predicted_path(self) -> Array:
         """(Np, 2) m: where the MPC expects the car at the instants from behind its dead time on, as of its last step.
 
+        (0, 2) before the first step on a path, and if the last step found no solution.
+
         Raises
         ------
         InvalidInput
-            When the controller is no `MPC`, or has not been called.
+            When the controller predicts nothing: it is no `MPC`.
         """
-        has_stepped = self._kernel.memory[0].started
-        path = self.controller.predicted_path(self._road_ahead()) if has_stepped else np.zeros((0, 2))
-        if not path.size:
-            raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
-        return np.asarray(path)
+        if type(self.controller).predicted_path is Controller.predicted_path:
+            raise InvalidInput(f"Tracker.predicted_path: {self.controller.name} does not predict: give an MPC.")
+        if not self._kernel.memory[0].predicted:
+            return np.zeros((0, 2))
+        return np.asarray(self.controller.predicted_path(self._road_ahead()))
 
 
 # -- trackers as records of the kernels: around any controller, and whole with a compiled one --------------------------
@@ -731,7 +755,7 @@ def _number(name: str, value: Any) -> float:
     if value is None and name in _OPTIONAL:
         return math.nan
     if name not in _TRUTHS:
-        return real("Tracker.step", name, value)
+        return real("Tracker.step", name, value, measured=name != "t")
     if not isinstance(value, bool | np.bool_ | int) or value not in (0, 1):
         raise InvalidInput(f"Tracker.step: {name} = {format_value(value)}: must be True or False.")
     return float(value)

@@ -433,11 +433,11 @@ class Exported(Known):
         ]
         returns = self.signature.returns
         if len(returns) == 1:
-            answer = self.call(*words)
+            answer = _call(self.call, *words)
             return bool(answer) if returns[0] == boolean else answer
         layout = "".join("d" if kind == float64 else "q" for kind in returns)
         answers = ctypes.create_string_buffer(struct.calcsize(layout))
-        self.call(*words, ctypes.addressof(answers))
+        _call(self.call, *words, ctypes.addressof(answers))
         return struct.unpack(layout, answers.raw)
 
     def __reduce__(self) -> Any:
@@ -516,13 +516,23 @@ def direct(kernel: Any, record: Any) -> Any:
     resident = Resident(record)
     place = (ctypes.c_int64 * resident.words.size).from_address(resident.words.ctypes.data)
     # a pointer that is one already: ctypes has nothing to convert, which takes longer than some kernels
-    run = partial(ctypes.CFUNCTYPE(None)(kernel.address), ctypes.byref(place))
+    run = partial(_call, ctypes.CFUNCTYPE(None)(kernel.address), ctypes.byref(place))
     run.resident = resident  # type: ignore[attr-defined]
     return run
 
 
 CALLED_BACK = threading.local()
 """Its attribute ``now``: whether this thread is in a user's function that a kernel has called back."""
+INTERRUPTS: dict[int, KeyboardInterrupt] = {}
+"""Ctrl-C in users' functions that kernels have called back, by thread: it cannot pass through a kernel."""
+
+
+def _call(function: Any, *words: Any) -> Any:
+    """Call a compiled kernel, then raise the Ctrl-C that a user's function has received meanwhile."""
+    answer = function(*words)
+    if INTERRUPTS and (interrupt := INTERRUPTS.pop(threading.get_ident(), None)):
+        raise interrupt
+    return answer
 
 
 @primitive

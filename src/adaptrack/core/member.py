@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import ctypes
 import logging
 import math
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from . import library
-from .kernel import CALLED_BACK, INTERPRETED, Array, Exported, Scalar, Signature, float64, void
+from .kernel import CALLED_BACK, INTERPRETED, INTERRUPTS, Array, Exported, Scalar, Signature, float64, void
 
 
 @dataclass(frozen=True)
@@ -153,8 +152,8 @@ def _called_back(member: UserFunction) -> Any:
                 CALLED_BACK.now = True
                 answer = function(*arguments)
             return None if nothing else float(answer or 0.0)
-        except KeyboardInterrupt:  # heard again when the kernel has returned
-            threading.Timer(0.01, _thread.interrupt_main).start()
+        except KeyboardInterrupt as interrupt:  # raised again when the kernel has returned
+            INTERRUPTS[threading.get_ident()] = interrupt
         except Exception as error:
             if not warned:
                 logging.getLogger("adaptrack").warning("adaptrack: %s raised %r", member.name, error)

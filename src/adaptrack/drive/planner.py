@@ -31,8 +31,8 @@ BEHIND = 5.0
 """m, by which a trajectory on the road begins behind the car."""
 SHORTEST_MERGE = 5.0
 """m, on which a trajectory from the pose of the car returns to the road, at least."""
-AT_REST = 1.0
-"""m, between the car and the stop of a plan, up to which a planner lets the time of the stop pass."""
+STOP_DISTANCE, STOP_SPEED = 1.0, 1.0
+"""m, between the car and its place by the time, and planned speed (m/s), up to which time passes, for a stop to end."""
 _SIGNALS = (*TRACKER_SAMPLE._fields[: TRACKER_SAMPLE.friction], "motion_time")
 """Arguments of `Tracker.step`."""
 
@@ -114,17 +114,22 @@ class PlannerRun:
         self._station, merge = float(foot.s), max(planner.merge * float(seen.speed), SHORTEST_MERGE)
         if starts_at_pose := planner.start == "pose":
             begin, elapsed = self._station, self._plan_time + planner.period
-            rest, speed = plan.motion(elapsed)
-            waits = speed == 0.0 and abs(rest - begin) < AT_REST
-            time = elapsed if waits else float(arrival_times(plan, np.array([begin]))[0])
+            place, speed = plan.motion(elapsed)
+            is_stopping = speed < STOP_SPEED and abs(place - begin) < STOP_DISTANCE
+            time = elapsed if is_stopping else max(float(arrival_times(plan, np.array([begin]))[0]), self._plan_time)
         else:
             time, begin = stamp, min(self._station, float(plan.motion(stamp)[0])) - BEHIND
+            begin = begin if road.closed else max(begin, 0.0)
         self._plan_time = time
         s, pauses = self._places(begin, time + planner.horizon)
-        t, line = np.minimum(arrival_times(plan, s) + pauses - time, planner.horizon), road.at(s)
+        t = np.minimum(arrival_times(plan, s) + pauses - time, planner.horizon)
+        if starts_at_pose:
+            is_ahead = (t > 0.0) | (np.arange(s.size) == 0)
+            s, t = s[is_ahead], np.maximum(t[is_ahead], 0.0)
+        line = road.at(s)
         x, y, yaw = line.x, line.y, line.heading
         if starts_at_pose:
-            t, to_go = np.maximum(t, 0.0), np.maximum(1.0 - (s - begin) / merge, 0.0)
+            to_go = np.maximum(1.0 - (s - begin) / merge, 0.0)
             slope = math.tan(seen.yaw + turn + drift - float(foot.heading)) if math.isfinite(drift) else 0.0
             growth = 2.0 * float(foot.offset) / merge + slope
             offset = (float(foot.offset) + growth * (s - begin)) * to_go**2  # a cubic, that ends along the road
@@ -160,6 +165,13 @@ def arrival_times(plan: SpeedPlan, s: Array) -> Array:
     return np.asarray(laps * plan.duration + plan.time[after] - (plan.s[after] - place) / mean_speed)
 
 
+class _SimulatedTracker(Tracker):
+    """A tracker whose computation time is that of the simulation, not that of this computer."""
+
+    def _compare_computation(self, *_: object) -> None:
+        pass
+
+
 class PlannedAnswer(NamedTuple):
     """Answer of a `PlannedController`."""
 
@@ -187,7 +199,7 @@ class PlannedController(SampledController):
 
     def make_tracker(self) -> Tracker:
         """Return a tracker at the start of a drive."""
-        return Tracker(self.controller, speed=self.speed, following=self.following or Following())
+        return _SimulatedTracker(self.controller, speed=self.speed, following=self.following or Following())
 
     def begin(self, drive: Scenario | RoadDrive) -> None:
         """Begin a drive; raises `InvalidInput` if it has no road."""

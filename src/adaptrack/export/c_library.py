@@ -46,7 +46,7 @@ FOLDERS = {
     ".": ("main.c", "times.c", "adaptrack_replay.h", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
 }
 """Where the files that are the same for all go."""
-CALLED = ("tracker_step", "tracker_engage", "tracker_follow", "path_words", "path_through")
+CALLED = ("tracker_step", "tracker_engage", "tracker_follow", "tracker_predict", "path_words", "path_through")
 """Kernels that `adaptrack.c` calls; with a speed control also `SPEED_CALLED`."""
 PREPARE_MPC = "mpc_prepare"
 """Kernel that it calls for an MPC."""
@@ -156,12 +156,7 @@ def export_c(
 
 
 # -- texts ------------------------------------------------------------------------------------------------------------
-def _texts(
-    controller: Controller,
-    memory: CMemory,
-    recorded: Recorded,
-    speed: SpeedPart | None,
-) -> dict[str, bytes]:
+def _texts(controller: Controller, memory: CMemory, recorded: Recorded, speed: SpeedPart | None) -> dict[str, bytes]:
     """The files that are text, by their places in the folder."""
     words = {
         "VERSION": __version__, "CONTROLLER": repr(controller),
@@ -223,6 +218,7 @@ def _config(controller: Controller, memory: CMemory, speed: SpeedPart | None) ->
 #define ADAPTRACK_VERSION "{__version__} kernels {library.kernels_hash()}"
 #define ADAPTRACK_PERIOD {controller.period!r} /* s, from one control instant to the next */
 #define ADAPTRACK_REAR_AXLE {controller.vehicle.lr!r} /* m, from the centre of mass back to the rear axle */
+#define ADAPTRACK_HORIZON {_horizon(memory)} /* points of a predicted path, at most */
 #define ADAPTRACK_SIZE {memory.size} /* bytes of a tracker with these constants */
 #define ADAPTRACK_STATE_SIZE {memory.state_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(memory.content)} /* bytes */
@@ -240,6 +236,12 @@ extern const void *const adaptrack_constants; /* of this export */
 #endif
 #endif
 """
+
+
+def _horizon(memory: CMemory) -> int:
+    """The largest Np of the controller; 0 of one that does not predict."""
+    part = memory.record.controller
+    return int(part.plans * part.mpc.settings.longest_horizon)
 
 
 def _speed_config(speed: SpeedPart | None) -> str:

@@ -32,6 +32,7 @@ from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.memory import CACHE_LINE_WORDS, Member, file_of, members_of
 from adaptrack.export.units import (
     CONSTANT_VALUE,
+    ELEMENT,
     INPUT_VALUE,
     PARAMETER,
     REAL,
@@ -206,10 +207,11 @@ def description(unit: Unit, token: str, version: str) -> bytes:
     ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", {"name": "logStatusError"})
     ET.SubElement(root, "DefaultExperiment", {"startTime": "0.0", "stopTime": "10.0", "stepSize": repr(unit.period)})
     variables = ET.SubElement(root, "ModelVariables")
-    for reference, value in enumerate(unit.values):
-        _variable(variables, reference, value, version)
+    described = [i for i, value in enumerate(unit.values) if second or not value.kind & ELEMENT]
+    for i, end in zip(described, [*described[1:], len(unit.values)], strict=True):
+        _variable(variables, i, unit.values[i], version, end - i)
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [i for i, value in enumerate(unit.values) if value.role == 0]
+    outputs = [i for i in described if unit.values[i].role == 0]
     if second:
         for kind, attributes in (("Outputs", {"dependencies": ""}), ("InitialUnknowns", {})):
             listed = ET.SubElement(structure, kind)
@@ -256,8 +258,11 @@ def _base_units(unit: str) -> dict[str, int]:
     return powers
 
 
-def _variable(variables: ET.Element, reference: int, value: UnitValue, version: str) -> None:
-    """One variable. What is an output does not depend on an input of the same instant."""
+def _variable(variables: ET.Element, reference: int, value: UnitValue, version: str, length: int) -> None:
+    """One variable. What is an output does not depend on an input of the same instant.
+
+    length: numbers of the variable if its name has an index; in FMI 2.0, which has no arrays, each is a variable.
+    """
     second = version == "2.0"
     causality, variability = {
         CONSTANT_VALUE: ("independent", "continuous") if reference == 0 else ("local", "constant"),
@@ -283,7 +288,10 @@ def _variable(variables: ET.Element, reference: int, value: UnitValue, version: 
     if second:
         ET.SubElement(ET.SubElement(variables, "ScalarVariable", common), kind, attributes)
     else:
-        ET.SubElement(variables, kind, common | attributes)
+        name, is_array, _ = value.name.partition("[")
+        variable = ET.SubElement(variables, kind, common | attributes | {"name": name})
+        if is_array:
+            ET.SubElement(variable, "Dimension", {"start": str(length)})
 
 
 def _text(number: float, value: UnitValue) -> str:
@@ -301,6 +309,7 @@ def _page(unit: Unit) -> str:
         f"<tr><td>{value.name}</td><td>{roles[value.role]}</td><td>{escape(value.unit)}</td>"
         f"<td>{escape(value.description)}</td></tr>"
         for value in unit.values
+        if not value.kind & ELEMENT
     )
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>adaptrack</title></head><body>\n'

@@ -23,14 +23,15 @@ from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
-from adaptrack.export.tracking import ROLES, refuse, small_record_of, speed_part
+from adaptrack.export.tracking import ROLES, refuse, room_of, small_record_of, speed_part
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
-REAL, WHOLE_VALUE, TRUTH, PARAMETER, INPUT_VALUE, CONSTANT_VALUE = 0, 1, 2, 4, 8, 16
-"""What a value is, as `fmu.h` numbers it: its type and its role; an output without one."""
+REAL, WHOLE_VALUE, TRUTH, PARAMETER, INPUT_VALUE, CONSTANT_VALUE, ELEMENT = 0, 1, 2, 4, 8, 16, 32
+"""What a value is, as `fmu.h` numbers it: its type and its role, an output without one; then whether it belongs to the
+array of the value before."""
 ENDLESS = 2**62
 """Control periods of a drive without an end."""
 MAX_FREE_SPEED = 70.0
@@ -59,7 +60,7 @@ class UnitValue:
     @property
     def role(self) -> int:
         """`PARAMETER`, `INPUT_VALUE`, `CONSTANT_VALUE`, or 0 of an output."""
-        return self.kind & ~3
+        return self.kind & (PARAMETER | INPUT_VALUE | CONSTANT_VALUE)
 
 
 @dataclass(frozen=True)
@@ -80,11 +81,14 @@ class Unit:
         return next(value.start for value in self.values if value.name == "period")
 
 
-def unit_values(groups: Mapping[int, Iterable[Field]], starts: Mapping[str, float]) -> tuple[UnitValue, ...]:
+def unit_values(
+    groups: Mapping[int, Iterable[Field]], starts: Mapping[str, float], **lengths: int
+) -> tuple[UnitValue, ...]:
     """The values of a unit by their fields.
 
     groups: constants, parameters, inputs and outputs by their role (`CONSTANT_VALUE`, `PARAMETER`, `INPUT_VALUE`, 0);
-    starts: where they are not the defaults. Closed bounds are limits; what is beyond open ones counts as not measured.
+    starts: where they are not the defaults; lengths: of those that are arrays, which become values
+    ``name[1]``, ``name[2]``, .... Closed bounds are limits; what is beyond open ones counts as not measured.
     """
     values = []
     for role, fields in groups.items():
@@ -92,7 +96,11 @@ def unit_values(groups: Mapping[int, Iterable[Field]], starts: Mapping[str, floa
             kind = TRUTH if field.is_truth else WHOLE_VALUE if isinstance(field.default, int) else REAL
             start = starts.get(field.name, np.nan_to_num(field.default))
             limits = field.ends if field.bounds.startswith("[") else ()
-            values.append(UnitValue(field.name, kind | role, field.unit, field.meaning, float(start), *limits))
+            names = [f"{field.name}[{i + 1}]" for i in range(lengths.get(field.name, 0))] or [field.name]
+            values += [
+                UnitValue(name, kind | role | (ELEMENT if i else 0), field.unit, field.meaning, float(start), *limits)
+                for i, name in enumerate(names)
+            ]
     return tuple(values)
 
 
@@ -192,13 +200,15 @@ def controller_unit(
         **dict.fromkeys(("pose_known", "yaw_rate_known"), 1.0),
         **dict.fromkeys(("planned_speed", "planned_speed_ahead"), first),
     }  # fmt: skip
+    horizon = int(room_of(built_controller).longest) if tracking.controller.plans else 0
     groups = {
         CONSTANT_VALUE: controller.STEERING_CONSTANTS, PARAMETER: controller.PARAMETERS,
         INPUT_VALUE: controller.STEERING_INPUTS,
-        0: controller.STEERING_OUTPUTS + (() if speed is None else controller.SPEED_OUTPUTS),
+        0: controller.STEERING_OUTPUTS + (() if speed is None else controller.SPEED_OUTPUTS)
+           + (controller.PREDICTION_OUTPUTS if horizon else ()),
     }  # fmt: skip
-    values = unit_values(groups, starts)
-    record = controller.SteeringUnit(*_columns(values), tracking=tracking)
+    values = unit_values(groups, starts, predicted_x=horizon, predicted_y=horizon)
+    record = controller.SteeringUnit(*_columns(values), tracking=tracking, points=np.zeros(2 * horizon))
     constants = (f"tracking.{name}" for name in (*ROLES.fixed, *ROLES.outside))
     return Unit("controller", title, record, values, (*UNIT_CONSTANTS, *constants))
 

@@ -112,7 +112,8 @@ class SteeringTest:
         InvalidInput
             When an argument is no number, or a time is not finite or not later than the one before.
         """
-        time, v, r, wheel = (real("SteeringTest.step", "a sample", x) for x in (t, speed, yaw_rate, wheel_angle))
+        sample = {"t": t, "speed": speed, "yaw_rate": yaw_rate, "wheel_angle": wheel_angle}
+        time, v, r, wheel = (real("SteeringTest.step", name, value, name != "t") for name, value in sample.items())
         sent = time if command_time is None else real("SteeringTest.step", "command_time", command_time)
         if not (math.isfinite(time) and math.isfinite(sent) and sent >= time):
             raise InvalidInput(

@@ -38,6 +38,8 @@ NO_PATH = "no path yet on topic path"
 NO_PLANNER = "the planner is silent"
 FOLLOW = "path", "trajectory"
 """What is followed of the messages on the topic `path`."""
+SHORT_STEP = 0.02
+"""m, from a predicted point to the next, below which the yaw stays: the car hardly moves."""
 LEAST_ACCELERATION = 0.01
 """m/s^2, smallest magnitude that is sent: 0 means as quickly as possible in an AckermannDrive."""
 
@@ -383,6 +385,27 @@ class Follower:
         speed = self._tracked.target_speed
         return self._command_of(speed if math.isfinite(speed) else 0.0, self.parameters.acceleration)
 
+    @property
+    def path_frame(self) -> str:
+        """The frame of the path that is followed."""
+        return self._path_frame
+
+    def predicted_path(self) -> Array:
+        """(n, 4) where the controller expects the car's centre of mass: s after the last tick, x, y (m), yaw (rad).
+
+        Empty where it expects nothing, and while the safe command is sent.
+        """
+        has_command = self._tracker is not None and not self._command.stopping
+        points = self._tracker.predicted_path() if has_command else np.empty((0, 2))
+        if len(points) == 0:
+            return np.empty((0, 4))
+        yaws, yaw = [], _direction(points[0], points[-1])
+        for here, there in zip(points, [*points[1:], points[-1]], strict=True):
+            if math.dist(here, there) > SHORT_STEP:
+                yaw = _direction(here, there)
+            yaws.append(yaw)
+        return np.column_stack([self._tracker.controller.predicted_output()[0], points, yaws])
+
     def diagnosis(self, now: float) -> tuple[int, str, dict[str, str]]:
         """Level, text and values for a diagnostic_msgs/DiagnosticStatus."""
         last, command = self._tracked, self._command
@@ -410,3 +433,8 @@ class Follower:
         if command.stopping:
             return ERROR, "; ".join(filter(None, (f"stopping: {command.stopping}", trouble))), values
         return (WARN, trouble, values) if trouble else (OK, "following", values)
+
+
+def _direction(here: Array, there: Array) -> float:
+    """rad, from one point to another."""
+    return math.atan2(there[1] - here[1], there[0] - here[0])

@@ -9,6 +9,8 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
@@ -17,7 +19,7 @@ from std_msgs.msg import Bool
 
 import adaptrack as at
 from adaptrack_ros.follower import DRIVE_MESSAGES, POSE_MESSAGES, Command, Follower, Parameters
-from adaptrack_ros.messages import fill_control, fill_drive, fill_status
+from adaptrack_ros.messages import fill_control, fill_drive, fill_path, fill_status
 
 DIAGNOSTICS_PERIOD = 0.5
 """s"""
@@ -35,6 +37,7 @@ class FollowerNode(Node):
         self._follower.warm_up()
         self._drive_type, self._look_up = message_type(parameters.drive_message), lambda: None
         self._drive = self.create_publisher(self._drive_type, "drive", 1)
+        self._predicted_path = self.create_publisher(Path, "predicted_path", 1)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         if parameters.pose_message == "tf":
             self._listen_to_tf()
@@ -96,6 +99,9 @@ class FollowerNode(Node):
         else:
             fill_control(message, stamp, self._follower.period, command)
         self._drive.publish(message)
+        path = Path()
+        fill_path(path, stamp, self._follower.path_frame, self._follower.predicted_path(), PoseStamped)
+        self._predicted_path.publish(path)
 
     def _diagnose(self) -> None:
         message, status = DiagnosticArray(), DiagnosticStatus()

@@ -132,15 +132,33 @@ def fill_drive(message: Any, angle: float, speed: float, acceleration: float) ->
     drive.steering_angle_velocity = drive.jerk = 0.0
 
 
+def set_later(time: Any, stamp: Any, delay: float) -> None:
+    """Write the builtin_interfaces/Time that is `delay` (s) after a stamp."""
+    carry, time.nanosec = divmod(stamp.nanosec + round(1e9 * delay), 10**9)
+    time.sec = stamp.sec + carry
+
+
+def fill_path(message: Any, stamp: Any, frame: str, rows: Array, pose_stamped: Any) -> None:
+    """Write a nav_msgs/Path of rows (n, 4): s after the stamp, x, y (m), yaw (rad); pose_stamped: class of a pose."""
+    message.header.stamp, message.header.frame_id, message.poses = stamp, frame, []
+    for delay, x, y, yaw in rows.tolist():
+        pose = pose_stamped()
+        pose.header.frame_id = frame
+        set_later(pose.header.stamp, stamp, delay)
+        pose.pose.position.x, pose.pose.position.y = x, y
+        pose.pose.orientation.z, pose.pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+        message.poses.append(pose)
+
+
 def fill_control(message: Any, stamp: Any, period: float, command: Any) -> None:
     """Write an autoware_control_msgs/Control of a control period (s) by a `Command`.
 
     stamp: builtin_interfaces/Time; the state is expected a period later.
     """
     lateral, longitudinal = message.lateral, message.longitudinal
-    carry, nanosec = divmod(stamp.nanosec + round(1e9 * period), 10**9)
     for part in (message, lateral, longitudinal):
-        part.stamp, part.control_time.sec, part.control_time.nanosec = stamp, stamp.sec + carry, nanosec
+        part.stamp = stamp
+        set_later(part.control_time, stamp, period)
     lateral.steering_tire_angle, lateral.steering_tire_rotation_rate = float(command.angle), float(command.angle_rate)
     lateral.is_defined_steering_tire_rotation_rate = True
     longitudinal.velocity, longitudinal.is_defined_acceleration = float(command.speed), math.isfinite(command.request)

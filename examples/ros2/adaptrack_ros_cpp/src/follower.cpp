@@ -14,6 +14,7 @@ constexpr double standing = 0.1;  // m/s
 constexpr double at_stop = 0.25;  // m, of a standing car from a stop that counts as reached
 constexpr double overshot = 3.0;  // m, of a car that is stopping from the stop of another path that counts as the same
 constexpr double jump = 20.0;     // m, beyond the last and the next stop: the car has been moved rather than driven
+constexpr double short_step = 0.02; // m, to the next predicted point: below it the yaw stays, the car hardly moves
 #if ADAPTRACK_SPEED_CONTROL
 constexpr double least_acceleration = 0.01; // m/s^2: in an AckermannDrive 0 means as quickly as possible
 #endif
@@ -67,6 +68,9 @@ void check_messages(const Parameters &p) {
 }
 
 double distance_of(const double *a, const double *b) { return std::hypot(b[0] - a[0], b[1] - a[1]); }
+
+// rad, from one point to another.
+double direction(const double *a, const double *b) { return std::atan2(b[1] - a[1], b[0] - a[0]); }
 
 const char *status_name(adaptrack_status status) {
     static constexpr std::array names{"ok",      "estimated", "held",    "standing", "reverse",
@@ -395,6 +399,24 @@ void Follower::go() {
 #endif
     command(speed, parameters.acceleration, NAN, {});
 #endif
+}
+
+const std::vector<Sample> &Follower::predicted_path() {
+    std::array<double, 2 * ADAPTRACK_HORIZON> points{};
+    std::size_t count = 0;
+    double first = 0.0;
+    predicted_.clear();
+    if (!has_path_ || !command_.stopping.empty() ||
+        adaptrack_predicted_path(tracker_.data(), points.data(), ADAPTRACK_HORIZON, &count, &first) != ADAPTRACK_OK ||
+        count == 0)
+        return predicted_;
+    double yaw = direction(&points[0], &points[2 * count - 2]);
+    for (std::size_t k = 0; k < count; k++) {
+        const double *here = &points[2 * k], *there = &points[2 * std::min(k + 1, count - 1)];
+        if (distance_of(here, there) > short_step) yaw = direction(here, there);
+        predicted_.push_back({first + static_cast<double>(k) * period, here[0], here[1], yaw, NAN, NAN});
+    }
+    return predicted_;
 }
 
 Diagnosis Follower::diagnosis(double now) const {

@@ -73,6 +73,7 @@ class FollowerNode : public rclcpp::Node {
     FollowerNode() : Node("adaptrack_follower") {
         follower_ = made(declared(*this), declare_parameter("constants", std::string()));
         publish_drive_as(declare_parameter("drive_message", std::string("ackermann_msgs/AckermannDriveStamped")));
+        predicted_ = create_publisher<Path>("predicted_path", rclcpp::QoS(1));
         diagnostics_ = create_publisher<DiagnosticArray>("/diagnostics", rclcpp::QoS(10));
         subscribe_to_pose(follower_->parameters.pose_message, declare_parameter("map_frame", std::string("map")));
         subscribe_to_motion(follower_->parameters.motion_message);
@@ -217,7 +218,12 @@ class FollowerNode : public rclcpp::Node {
 
     void tick() {
         if (buffer_) look_up_pose();
-        if (const Command *command = follower_->tick(seconds_now())) send_(*command);
+        const Command *command = follower_->tick(seconds_now());
+        if (!command) return;
+        send_(*command);
+        const builtin_interfaces::msg::Time stamp = get_clock()->now();
+        fill_path(follower_->predicted_path(), stamp, follower_->path_frame(), predicted_path_);
+        predicted_->publish(predicted_path_);
     }
 
     void diagnose() {
@@ -235,6 +241,8 @@ class FollowerNode : public rclcpp::Node {
     std::vector<adaptrack_point> planned_;
 #endif
     std::function<void(const Command &)> send_;
+    Path predicted_path_;
+    rclcpp::Publisher<Path>::SharedPtr predicted_;
     std::unique_ptr<tf2_ros::Buffer> buffer_; // where the pose comes from tf
     std::unique_ptr<tf2_ros::TransformListener> listener_;
     std::string map_;

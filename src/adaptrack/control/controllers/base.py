@@ -235,7 +235,10 @@ class Controller(ABC):
         change_of_path(heading, offset)
 
     def predicted_path(self, ahead: RoadAhead) -> Array:
-        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it; (0, 2) without a prediction."""
+        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it behind its dead time.
+
+        (0, 2) for a controller that predicts nothing, before the first step, and where the last step found no solution.
+        """
         return np.zeros((0, 2))
 
     def as_policy(self) -> Policy:

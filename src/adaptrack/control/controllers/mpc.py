@@ -39,14 +39,14 @@ from adaptrack.control.models import PredictionModel, SingleTrackModel
 from adaptrack.control.qp import QP, ActiveSet, Hildreth, QPSolver, QPStatus, Solution, get_qp_solver
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller, step
-from adaptrack.core.controllers.receding import apply_move, predict_outputs
+from adaptrack.core.controllers.receding import apply_move, predict_outputs, predict_path
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.scheduling.functions import VARIABLE_NAMES
 from adaptrack.core.scheduling.guard import COUNTS
 from adaptrack.core.scheduling.schedule import schedule
-from adaptrack.road.road_ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead, stacked
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -553,12 +553,9 @@ class MPC(Controller):
         return np.asarray((np.arange(y.size) + 1.0) * self.period + self._delay * self.period), y
 
     def predicted_path(self, ahead: RoadAhead) -> Array:
-        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it behind its dead time."""
-        time, lateral = self.predicted_output()
-        delay = time[0] / self.period - 1.0
-        forward = max(float(self._mpc.memory[0].speed), self.speed_floor)
-        offset = lateral - ahead.bend(time.size + 1, forward, delay, self.period)[1:]
-        return ahead.points(offset, forward, delay, self.period)
+        points, roads = np.zeros(2 * self.longest_horizon), stacked(ahead.road)
+        count, _ = predict_path(0, ahead.station, ahead.speeds, 0, roads, self._resident, points)
+        return points[: 2 * count].reshape(-1, 2)
 
     def step(
         self,

@@ -4,19 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..kernel import (
-    Place,
-    columns,
-    exported,
-    float64,
-    inlined,
-    int64,
-    matrix,
-    record,
-    several,
-    vector,
-    void,
-)
+from ..kernel import Place, columns, exported, float64, inlined, int64, matrix, record, several, vector, void
 from ..maths.bits import whole
 from ..qp import problem as qp
 from ..roads.road import bend_ahead

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, int64, several, vector, void
+from ..kernel import Place, exported, float64, inlined, int64, several, vector, void
 from ..maths import vectors
 from ..maths.bits import whole
 from ..maths.exact import clip
@@ -12,6 +12,7 @@ from ..qp import problem as qp
 from ..qp.active_set import active_set
 from ..qp.hildreth import hildreth
 from ..qp.residual import kkt_residual
+from ..roads.road import Roads, line_of, points_ahead
 from . import mpc as batch
 from .constraints import SAMPLE_ROWS, sample_at
 from .feed_forward import expect_move
@@ -96,6 +97,30 @@ def predict_outputs(slot, mpc, y):
         y[j] = ws.reference[j] - ws.error[j]
     for i in range(min(_planned(slot, mpc), horizon)):
         expect_move(i, -_move_of(mpc.settings, i, mpc.plan[slot], ws.moves), horizon, ws.step[slot], y)
+
+
+@exported(several(int64, float64)(int64, float64, vector, int64, Place(Roads), MPC_PLACE, vector))
+def predict_path(slot, station, speeds, road, roads, mpc, points):
+    """Write x and y (m), in turn, of where the last step predicts the car: 1, 2, ..., Np periods after the dead time.
+
+    It returns the number of points, and the time (s) from the step to the first one. The number is 0 before the first
+    step, and if the last step found no solution. Nothing is written if the points do not fit. station: m, of the car's
+    foot at the step; speeds: m/s, expected at the instants from then on; road: which of `roads`, -1: the x axis. To be
+    called before another slot makes a step.
+    """
+    settings, memory, delay = mpc.settings, mpc.memory[slot], batch.delay_of(slot, mpc)
+    first = settings.period + delay * settings.period
+    if memory.started == 0 or mpc.answer[slot, MPC_ANSWER.held] > 0.5 or not memory.speed > 0.0:
+        return 0, first
+    count = whole(memory.Np)
+    if 2 * count <= points.size:
+        offsets = points[count : 2 * count]
+        predict_outputs(slot, mpc, offsets)
+        if settings.curved > 0:  # they count from the tangent at the foot
+            for j in range(count):
+                offsets[j] -= mpc.bend[j + 1]
+        points_ahead(station, speeds, memory.speed, delay, settings.period, line_of(road, roads), offsets, points)
+    return count, first
 
 
 @inlined
@@ -191,15 +216,7 @@ def stand(slot, mpc):
     """Leave the wheels of a standing car at rest."""
     memory, out = mpc.memory[slot], mpc.answer[slot]
     angle = clip(memory.command, mpc.settings.angle_min, mpc.settings.angle_max)
-    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change], out[MPC_ANSWER.held] = (
-        angle,
-        angle - memory.command,
-        0.0,
-    )
-    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations], out[MPC_ANSWER.qp_residual] = (
-        qp.SOLVED,
-        0,
-        0.0,
-    )
+    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change], out[MPC_ANSWER.held] = angle, angle - memory.command, 0.0
+    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations], out[MPC_ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
     out[MPC_ANSWER.at_limit] = 0.0
     _remember(slot, angle, mpc)

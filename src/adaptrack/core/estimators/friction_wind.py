@@ -43,7 +43,7 @@ from ..maths.vectors import VECTOR_WIDTH
 from ..models.car import unpack
 from ..models.contract import MEASUREMENT
 from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
-from ..physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA, lateral_force
+from ..physics.tyre import LINEAR_TYRE, lateral_force, tyre_law
 from .extended_kalman import IMPOSSIBLE_SIGNAL, carry, correct, scatter, step_motion
 
 FrictionWindPrior = record("FrictionWindPrior", (
@@ -143,7 +143,7 @@ def accelerations(angle, yaw, vx, p, z, slopes):
     The derivatives of both accelerations by z are written to slopes (2, 8); p: of the vehicle, `PlantParameters`.
     """
     c = unpack(p)
-    law = LINEAR_TYRE if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
+    law = tyre_law(c.tyre_linear > 0.5, c.curvature)
     vy, r, wind = z[VY_STATE], z[YAW_RATE_STATE], z[WIND_STATE]
     friction, factor = exp(z[LOG_FRICTION]), exp(z[LOG_STIFFNESS])
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
@@ -165,12 +165,10 @@ def accelerations(angle, yaw, vx, p, z, slopes):
 
     side, moment, _ = wind_load(yaw, vx, vy, 0.0, wind, c)
     half = 1.0 / (2.0 * _VELOCITY_STEP)
-    side_more, moment_more, _ = wind_load(yaw, vx, vy + _VELOCITY_STEP, 0.0, wind, c)
-    side_less, moment_less, _ = wind_load(yaw, vx, vy - _VELOCITY_STEP, 0.0, wind, c)
-    by_side[VY_STATE], by_moment[VY_STATE] = (side_more - side_less) * half, (moment_more - moment_less) * half
-    side_more, moment_more, _ = wind_load(yaw, vx, vy, 0.0, wind + _VELOCITY_STEP, c)
-    side_less, moment_less, _ = wind_load(yaw, vx, vy, 0.0, wind - _VELOCITY_STEP, c)
-    by_side[WIND_STATE], by_moment[WIND_STATE] = (side_more - side_less) * half, (moment_more - moment_less) * half
+    for state, dv, dw in ((VY_STATE, _VELOCITY_STEP, 0.0), (WIND_STATE, 0.0, _VELOCITY_STEP)):
+        side_more, moment_more, _ = wind_load(yaw, vx, vy + dv, 0.0, wind + dw, c)
+        side_less, moment_less, _ = wind_load(yaw, vx, vy - dv, 0.0, wind - dw, c)
+        by_side[state], by_moment[state] = (side_more - side_less) * half, (moment_more - moment_less) * half
 
     by_mass, by_inertia = 1.0 / c.mass, 1.0 / c.yaw_inertia
     for j in range(N):

@@ -18,6 +18,7 @@ from ..kernel import columns, exported, inlined, matrix, record, vector, viewer,
 from ..maths.exact import square
 from ..maths.exponential import exp
 from ..physics.force_actuator import ForceActuator, force_response
+from .steering import acting_row
 
 DriveQuantities = record("DriveQuantities", (
     "drive_lag", "drive_dead_time", "drive_gain",  # s, s, -
@@ -43,16 +44,10 @@ def _respond(response, lag, dead, sign, acting, start, h, log):
 
     acting: row of the request that acts at the start; the one that acts at the end is returned first.
     """
-    last, until, at, impulse = log.shape[1] - 1, start + h, start, 0.0
+    until, at, impulse = start + h, start, 0.0
     actuator = ForceActuator(0, 0.0, max(lag, 1e-4), math.inf, 1.0, math.inf)
     while at < until:
-        while (
-            acting < last and log[DRIVE_ROW.begins, acting + 1] <= 0.0 and log[DRIVE_ROW.time, acting + 1] + dead <= at
-        ):
-            acting += 1
-        end = until
-        if acting < last and log[DRIVE_ROW.begins, acting + 1] <= 0.0:
-            end = min(until, log[DRIVE_ROW.time, acting + 1] + dead)
+        acting, end = acting_row(acting, at, until, dead, log[DRIVE_ROW.time], log[DRIVE_ROW.begins])
         target = max(sign * log[DRIVE_ROW.request, acting], 0.0)
         response, mean = force_response(response, target, end - at, actuator)
         impulse += mean * (end - at)

@@ -37,6 +37,7 @@ from ..maths.matrix_exponential import apply, integrals
 from ..maths.trigonometric import atan, cos, sin
 from ..models.car import ACTUATOR_DEAD_TIME, ACTUATOR_LAG, ACTUATOR_RATE, BODY
 from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR
+from ..physics.tyre import curve, force_and_slope
 
 Quantities = record("Quantities", (
     ACTUATOR_LAG, ACTUATOR_DEAD_TIME, ACTUATOR_RATE,  # of the steering
@@ -82,11 +83,10 @@ MAX_IDENTIFICATION_STEP = 0.051
 
 
 @inlined
-def _tyre(slip, stiffness, peak, shape):
-    """Force (N) and slope (N/rad) of an axle."""
-    z = stiffness * slip / (shape * peak)
-    angle = shape * atan(z)
-    return peak * sin(angle), max(stiffness * cos(angle) / (1.0 + z * z), 0.02 * stiffness)
+def _tyre(slip, load, stiffness, q):
+    """Force (N) and slope (N/rad) of an axle; the slope is at least 2 % of that at no slip."""
+    force, slope = force_and_slope(slip, curve(load, stiffness, q.friction, q.shape_factor))
+    return force, max(slope, 0.02 * stiffness)
 
 
 @inlined
@@ -117,10 +117,10 @@ def _move_wheels(angle, target, lag, rate, span):
 @inlined
 def _axles(q, x, angle):
     """Lateral force (N) and its slope over the state (N), front at a wheel angle (rad), and rear."""
-    load, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), x[_STATE.slip_rear]
+    load, slip_rear = q.mass * GRAVITY / (q.lf + q.lr), x[_STATE.slip_rear]
     course = sin(angle) / cos(angle) - x[_STATE.slip_front]
-    front, slope_front = _tyre(angle - atan(course), q.front, load * q.lr, q.shape_factor)
-    rear, slope_rear = _tyre(atan(slip_rear), q.rear, load * q.lf, q.shape_factor)
+    front, slope_front = _tyre(angle - atan(course), load * q.lr, q.front, q)
+    rear, slope_rear = _tyre(atan(slip_rear), load * q.lf, q.rear, q)
     return front, slope_front / (1.0 + square(course)), rear, slope_rear / (1.0 + square(slip_rear))
 
 
@@ -270,19 +270,29 @@ def _compare(q, k, log, angle, x, p, answer):
 
 
 @inlined
+def acting_row(acting, at, until, dead, times, begins):
+    """Row of a segment that acts at a time (s), and when its successor does, at most `until` (s).
+
+    acting: row from which on to search; dead: s, by which rows act late; begins: 1 where a segment begins.
+    """
+    last = times.size - 1
+    while acting < last and begins[acting + 1] <= 0.0 and times[acting + 1] + dead <= at:
+        acting += 1
+    if acting < last and begins[acting + 1] <= 0.0:
+        until = min(until, times[acting + 1] + dead)
+    return acting, until
+
+
+@inlined
 def _steer(q, log, acting, angle, dead, start, h):
     """How the wheels move from a start (s) over h (s), commands acting a dead time (s) late, that at row `acting` now.
 
     The row that acts at the end, the angle (rad) there, the mean angle (rad) and the rate (rad/s) of the straight line.
     """
-    last, until, lag, rate = log.shape[1] - 1, start + h, max(q.lag, 1e-4), q.rate
+    until, lag, rate = start + h, max(q.lag, 1e-4), q.rate
     area, moment, at = 0.0, 0.0, start
     while at < until:
-        while acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0 and log[LOG_ROW.time, acting + 1] + dead <= at:
-            acting += 1
-        end = until
-        if acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0:
-            end = min(until, log[LOG_ROW.time, acting + 1] + dead)
+        acting, end = acting_row(acting, at, until, dead, log[LOG_ROW.time], log[LOG_ROW.begins])
         target = q.gain * log[LOG_ROW.command, acting] + q.offset
         angle, part, first = _move_wheels(angle, target, lag, rate, end - at)
         area += part
@@ -294,13 +304,11 @@ def _steer(q, log, acting, angle, dead, start, h):
 @inlined
 def _measured(q, log, acting, at):
     """The row before a time (s), from row `acting` of its segment on, and the wheels on the straight line there."""
-    last = log.shape[1] - 1
-    while acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0 and log[LOG_ROW.time, acting + 1] <= at:
-        acting += 1
-    angle = log[LOG_ROW.command, acting]
-    if acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0 and at > log[LOG_ROW.time, acting]:
-        span = log[LOG_ROW.time, acting + 1] - log[LOG_ROW.time, acting]
-        angle += (at - log[LOG_ROW.time, acting]) / span * (log[LOG_ROW.command, acting + 1] - angle)
+    time, command = log[LOG_ROW.time], log[LOG_ROW.command]
+    acting, end = acting_row(acting, at, math.inf, 0.0, time, log[LOG_ROW.begins])
+    angle = command[acting]
+    if time[acting] < at and end < math.inf:
+        angle += (at - time[acting]) / (end - time[acting]) * (command[acting + 1] - angle)
     return acting, q.gain * angle + q.offset
 
 

@@ -18,8 +18,8 @@ import math
 
 from ..kernel import Row, columns, exported, float64, inlined, local, matrix, record, vector, viewer, void
 from ..maths.matrix_exponential import apply, integrals
-from ..maths.trigonometric import asin, tan
 from ..physics.forces import GRAVITY
+from ..physics.tyre import reach_at
 from .car import ACTUATOR_LAG, SINGLE_TRACK
 from .contract import DISCRETISE
 
@@ -126,12 +126,11 @@ def discretise_disturbed(speed, period, c, f, b):
 def saturation(turn, friction, shape):
     """Loss of tyre pull (m/s^2, signed) against linear tyres at equal slip, in a steady turn of so many m/s^2.
 
-    Each axle pulls its share F/F_z = turn/g. By the Magic Formula with E = 0 (Pacejka, eq. 4.E19) it slides under the
-    angle at which a linear tyre would pull mu F_z C tan(asin(f)/C), f = F/(mu F_z).
+    Each axle pulls its share F/F_z = turn/g, at the slip angle of a Magic Formula (`physics.tyre.reach_at`).
     """
     most = friction * GRAVITY
     share = min(abs(turn) / most, MOST_SHARE)
-    return -math.copysign(most * (shape * tan(asin(share) / shape) - share), turn)
+    return -math.copysign(most * (reach_at(share, shape) - share), turn)
 
 
 @inlined

@@ -1,5 +1,9 @@
 """Tyre forces: the Magic Formula, the linear tyre, their dependence on load and friction.
 
+Plants and speed plans have the tyre of the car file, `lateral_force`. Estimators, prediction and identification have a
+`TyreCurve`; the learner has its own (`estimators.learning`). Guard and governor have none: what an axle that is at its
+limit sideways has left along the road is the friction ellipse (`physics.forces.axle_force_limit`).
+
 Slip angles and forces are positive to the left (ISO 8855): a wheel turned left of its velocity pushes left.
 """
 
@@ -11,6 +15,7 @@ from ..kernel import inlined, record
 from ..maths.exact import sqrt
 from ..maths.exponential import power
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
+from ..maths.trigonometric import asin, tan
 
 LEAST_LOAD = 1.0
 """A wheel never carries less than this (N): a lifted wheel keeps a harmless force instead of a division by zero."""
@@ -89,6 +94,15 @@ def force_and_slope(slip, tyre):
     angle = tyre.shape * fast_arctangent_of_ratio(reach, scale)
     slope = tyre.stiffness * fast_cosine(angle) * (scale * scale / (scale * scale + reach * reach))
     return tyre.peak * fast_sine(angle), slope
+
+
+@inlined
+def reach_at(used, shape):
+    """Slip angle times stiffness, over the largest force, where a Magic Formula pulls a share of that force.
+
+    used: -, below 1. It is the inverse of `force_and_slope` up to the peak.
+    """
+    return shape * tan(asin(used) / shape)
 
 
 @inlined

@@ -29,7 +29,7 @@ def forget_planner(memory):
     memory.driven_by, memory.late, memory.target_speed, memory.debt = 0, math.nan, math.nan, 0.0
     memory.correction, memory.top_speed, memory.is_leaving = 0.0, math.inf, 0
     memory.clock_offset, memory.stamp, memory.arrival, memory.other_stamps = math.nan, -math.inf, -math.inf, 0
-    memory.shape, memory.returned, memory.far_count, memory.hidden = math.nan, 0, 0, 0.0
+    memory.checksum, memory.disagreed, memory.returned, memory.far_count, memory.hidden = math.nan, 0, 0, 0, 0.0
 
 
 @inlined

@@ -63,15 +63,16 @@ PLANNED_MEMORY = record(
         "stamp",  # s, of the last trajectory that was taken, on its own clock
         "arrival",  # s, of it
         "other_stamps", "other_offset",  # -, s: stamps in a row that fit another clock, and its offset
-        "shape",  # checksum of its points
+        "checksum",  # of its points
         # replans:
+        "disagreed",  # trajectories in a row that do not agree with the line that is followed
         "returned",  # fresh trajectories in a row since the planner fell silent
         # where the trajectory begins, see `meant_line`:
         "meant_offset", "given_offset",  # m, of the car from the line that earlier ones meant, and from this one
         "hidden",  # s, for which they have contradicted each other
         "far_count",  # places in `far`
     ),
-    integers=("driven_by", "is_leaving", "other_stamps", "returned", "far_count"),
+    integers=("driven_by", "is_leaving", "other_stamps", "disagreed", "returned", "far_count"),
 )  # fmt: skip
 """What a tracker remembers of a planner."""
 

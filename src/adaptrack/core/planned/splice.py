@@ -25,7 +25,7 @@ STEP_TIME, SHORTEST_STEP, LONGEST_STEP = 0.15, 0.75, 3.0
 """s, m, m: distance of the points through which a line is made, as way at the planned speed."""
 BEHIND_TIME, BEHIND = 0.5, 5.0
 """s, m: a line begins so far behind the car: late samples are behind it."""
-KEPT_TIME, KEPT_WAY = 1.5, 5.0
+KEPT_TIME, KEPT_WAY = 3.0, 5.0
 """s, m: as far ahead of the car, way at its speed and in addition, the line before is kept where both agree."""
 LEAST_KEPT_TIME, LEAST_KEPT_WAY = 0.4, 2.0
 """s, m: where they agree for less, the new line counts at once."""
@@ -33,6 +33,9 @@ FADE_TIME, FADE_WAY = 0.75, 3.0
 """s, m: over which one becomes the other."""
 AGREEMENT_SIGMAS, LEAST_AGREEMENT = 3.0, 0.05
 """-, m: standard deviations of position and points by which lines that agree may differ, and at least."""
+DOUBTED, DOUBT = 3, 2.0
+"""Trajectories in a row that must disagree before they are believed, while they differ by no more than this multiple:
+one measured pose in a hundred is as far off, and so are plans that begin there."""
 FRONT_ROOM = 8
 """Points that a line may get in front of its first node."""
 
@@ -111,6 +114,16 @@ def kept_until(car, tolerance, feet, count, old):
     until, least = -math.inf, car.station + LEAST_KEPT_TIME * car.speed + LEAST_KEPT_WAY
     for i in range(len(old)):
         until = old[i, 2] if least < old[i, 2] <= last else until
+    return until
+
+
+@inlined
+def agreed_until(car, tolerance, feet, count, old, memory):
+    """As `kept_until`, but a small disagreement counts only when it has come several times in a row."""
+    until = kept_until(car, tolerance, feet, count, old)
+    memory.disagreed = 0 if until > -math.inf else memory.disagreed + 1
+    if 0 < memory.disagreed < DOUBTED:
+        until = kept_until(car, DOUBT * tolerance, feet, count, old)
     return until
 
 

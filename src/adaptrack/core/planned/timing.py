@@ -39,23 +39,29 @@ def speed_at(place, speeds):
     return sqrt(max(low + (high - low) * ((place - s[k]) / (s[k + 1] - s[k])), 0.0))
 
 
+@inlined
+def _speed_beyond(k, speeds):
+    """Speed (m/s) of a trajectory beyond an end, a node: that of the end, where it is no creeping into a rest."""
+    return speeds.speed[k] if speeds.speed[k] > LEAST_CORRECTION else 0.0
+
+
 @exported(several(float64, float64)(float64, PlannedSpeeds))
 def place_at(time, speeds):
     """Place (m) and speed (m/s) of a trajectory at a time (s): constant acceleration between nodes, rest at them.
 
-    Beyond the ends it goes straight on at the last speed. NaN, 0 without nodes.
+    Beyond the ends it goes straight on at the last speed, see `_speed_beyond`. NaN, 0 without nodes.
     """
     s, speed, last = speeds.s, speeds.speed, speeds.s.size - 1
     if last < 0:
         return math.nan, 0.0
     k = last_at(time, speeds.arrive)
     if k < 0:
-        return s[0] + speed[0] * (time - speeds.arrive[0]), speed[0]
+        return s[0] + _speed_beyond(0, speeds) * (time - speeds.arrive[0]), _speed_beyond(0, speeds)
     since = time - speeds.leave[k]
     if since <= 0.0 and speeds.leave[k] > speeds.arrive[k]:
         return s[k], 0.0
     if k == last:
-        return s[k] + speed[k] * since, speed[k]
+        return s[k] + _speed_beyond(k, speeds) * since, _speed_beyond(k, speeds)
     share = since / (speeds.arrive[k + 1] - speeds.leave[k])
     both, gained = speed[k] + speed[k + 1], speed[k + 1] - speed[k]
     way = share * (2.0 * speed[k] + gained * share) / both if both > 0.0 else share
@@ -71,14 +77,14 @@ def time_at(place, speeds):
     s, speed, last = speeds.s, speeds.speed, speeds.s.size - 1
     if last < 0 or place != place:
         return math.nan
-    k = last_at(place, s)
-    way = place - s[max(k, 0)]
-    if k < 0:
-        return speeds.arrive[0] + (way / speed[0] if speed[0] > 0.0 else 0.0)
-    if way <= 0.0 or (k == last and not speed[k] > 0.0):
+    k = max(last_at(place, s), 0)
+    way, beyond = place - s[k], _speed_beyond(k, speeds)
+    if way < 0.0 and beyond > 0.0:
+        return speeds.arrive[k] + way / beyond
+    if k == last and way > 0.0 and beyond > 0.0:
+        return speeds.leave[k] + way / beyond
+    if way <= 0.0 or k == last:
         return speeds.arrive[k]
-    if k == last:
-        return speeds.leave[k] + way / speed[k]
     share, both = way / (s[k + 1] - s[k]), speed[k] + speed_at(place, speeds)
     if both > 0.0:
         share *= (speed[k] + speed[k + 1]) / both

@@ -8,19 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import (
-    columns,
-    exported,
-    float64,
-    inlined,
-    int64,
-    int_matrix,
-    int_vector,
-    matrix,
-    record,
-    shaped,
-    vector,
-)
+from ..kernel import columns, exported, float64, inlined, int64, int_matrix, int_vector, matrix, record, shaped, vector
 from ..maths.bits import left, right, whole
 from ..maths.exact import clip
 from ..maths.exponential import exp, log, log1p

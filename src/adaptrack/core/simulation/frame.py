@@ -9,14 +9,13 @@ import math
 
 from ..controllers import mpc
 from ..controllers.part import COMMON_ANSWER
-from ..controllers.receding import plan_moves, predict_outputs
+from ..controllers.receding import plan_moves, predict_path
 from ..kernel import columns, exported, inlined
 from ..maths.bits import whole
 from ..maths.exact import sqrt
 from ..maths.trigonometric import cos, sin
 from ..planning.drive import instant
 from ..plants.contract import PLANT_STATE, input_of, state_at, state_of
-from ..roads.road import line_of, points_ahead
 from ..speed.speed_control import cell_at
 from .run import SHOW, TRACE_SIGNALS, write_trace_signals
 from .world import SIGNAL
@@ -91,23 +90,11 @@ def _write_numbers(k, slot, run, row):
 
 @inlined
 def _write_path(slot, run, speeds, points):
-    """The predicted path: x and y (m) in turn; on a curved road by the offsets from it that are predicted."""
-    drive, inputs, model = run.memory.drives[slot], run.inputs, run.controller.mpc
-    scenario = inputs.scenario[slot]
-    horizon, most = whole(model.answer[slot, mpc.MPC_ANSWER.Np]), points.size // 2
-    offsets = points[most : most + horizon]
-    predict_outputs(slot, model, offsets)
-    road = inputs.roads.of[scenario]
-    if road >= 0 and model.settings.curved > 0:
-        for j in range(horizon):
-            offsets[j] -= model.bend[j + 1]
-    station = drive.station_estimate if road >= 0 else state_of(run.vehicles.block, slot).x
-    speed = max(drive.speed, model.settings.speed_floor)
-    points_ahead(
-        station, speeds, speed, mpc.delay_of(slot, model), model.settings.period,
-        line_of(road, inputs.roads), offsets, points,
-    )  # fmt: skip
-    for j in range(2 * horizon, points.size):
+    """The predicted path: x and y (m) in turn."""
+    roads, road = run.inputs.roads, run.inputs.roads.of[run.inputs.scenario[slot]]
+    station = run.memory.drives[slot].station_estimate if road >= 0 else state_of(run.vehicles.block, slot).x
+    count, _ = predict_path(slot, station, speeds, road, roads, run.controller.mpc, points)
+    for j in range(2 * count, points.size):
         points[j] = math.nan
 
 

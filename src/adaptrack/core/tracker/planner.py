@@ -52,6 +52,8 @@ MOST_ASIDE = 1.0
 """m: a line that lies farther beside the one before is taken at once."""
 FIT_OFFSET, FIT_ANGLE, FIT_TIME = 1.0, math.radians(10.0), 1.0
 """m, rad, s: a fallback, and a planner that returns, begin so near the car, and so far ahead at most as way."""
+HARDEST_STOP = 8.0
+"""m/s^2, with which a car may have to stop before the end of a fallback."""
 RETURNED = 3
 """Trajectories in a row that fit, after which a planner that was silent drives again."""
 
@@ -181,11 +183,16 @@ def _write_stops(count, speeds, stops):
 
 
 @inlined
-def _is_no_fallback(friction, nodes, count, line):
-    """Whether nodes do not end at rest, or need more than a friction (at its low end; NaN: unknown) in their bends."""
-    s = 0.0
-    if nodes[count - 1, NODE.leave] < math.inf:
+def _is_no_fallback(friction, car, nodes, count, line):
+    """Whether nodes do not end at rest, or end too near ahead of the car, or need more than a friction in their bends.
+
+    friction: its low end; NaN: unknown.
+    """
+    s = nearest(car.x, car.y, car.yaw, ACROSS_PENALTY, math.nan, line)
+    left = line.numbers[LENGTH] - s + FIT_OFFSET
+    if nodes[count - 1, NODE.leave] < math.inf or square(car.speed) > 2.0 * HARDEST_STOP * left:
         return True
+    s = 0.0
     for j in range(count):
         s, _, _, curvature = foot_near(nodes[j, NODE.x], nodes[j, NODE.y], s, line)
         if square(nodes[j, NODE.speed]) * abs(curvature) > friction * GRAVITY:
@@ -195,13 +202,13 @@ def _is_no_fallback(friction, nodes, count, line):
 
 # -- a trajectory -----------------------------------------------------------------------------------------------------
 @inlined
-def _shape_of(given):
+def _checksum_of(given):
     """A number that two trajectories share only if their times and poses are alike."""
-    shape = 0.0
+    total = 0.0
     for j in range(len(given)):
         for i in range(GIVEN.speed):
-            shape = given[j, i] - 0.9999 * shape if given[j, i] == given[j, i] else shape
-    return shape
+            total = given[j, i] - 0.9999 * total if given[j, i] == given[j, i] else total
+    return total
 
 
 @inlined
@@ -224,7 +231,7 @@ def _write_line(arrival, car, count, noise, rooms, tracker):
         splice.project(rooms.nodes, count, car.station, pose.line(tracker), rooms.feet)
     if car.station == car.station and arrival.role == PLANNER and arrival.is_urgent == 0:
         tolerance = splice.tolerance_of(planned.settings[0].position_noise, noise)
-        until = splice.kept_until(car, tolerance, rooms.feet, count, planned.points)
+        until = splice.agreed_until(car, tolerance, rooms.feet, count, planned.points, planned.memory[0])
     points = rooms.points
     end = splice.join(rooms.nodes, count, rooms.feet, until, car, pose.line(tracker), planned.points, points)
     first = splice.extend(car, rooms.nodes, end, points)
@@ -296,7 +303,7 @@ def _stamp(given, arrival, settings, memory):
     if arrival.role != PLANNER:
         return clock.TAKEN, arrival.time
     verdict, begins = clock.place_stamp(arrival.stamp, arrival.time, settings, memory)
-    if verdict == clock.TAKEN and memory.driven_by == PLANNER and _shape_of(given) == memory.shape:
+    if verdict == clock.TAKEN and memory.driven_by == PLANNER and _checksum_of(given) == memory.checksum:
         verdict = clock.SAME
     return verdict, begins
 
@@ -327,7 +334,7 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         return verdict, flaw, 0
     line = _path(rooms)
     is_fallback = arrival.role == FALLBACK
-    if is_fallback and (not _fits(car, rooms.nodes, line) or _is_no_fallback(friction, rooms.nodes, count, line)):
+    if is_fallback and (not _fits(car, rooms.nodes, line) or _is_no_fallback(friction, car, rooms.nodes, count, line)):
         return clock.UNFIT, OK, 0
     if not is_fallback and _waits(arrival, car, rooms, settings, own):
         own.stamp, own.arrival = arrival.stamp, arrival.time
@@ -337,7 +344,7 @@ def take_trajectory(given, arrival, friction, tracker, memory, parts):
         _let_be_on_time(arrival.time, car, places, rooms)
     else:
         _watch_meant_line(arrival, car, count, rooms, tracker)
-        own.stamp, own.arrival, own.shape = arrival.stamp, arrival.time, _shape_of(given)
+        own.stamp, own.arrival, own.checksum = arrival.stamp, arrival.time, _checksum_of(given)
     parts[PARTS.points], parts[PARTS.speeds], parts[PARTS.room] = points, places, rooms.speeds.s.size
     parts[PARTS.stops] = _write_stops(places, rooms.speeds, rooms.stops)
     parts[PARTS.path_at] = _words_before_path(len(given), len(planned.points))

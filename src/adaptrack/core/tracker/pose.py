@@ -101,7 +101,7 @@ def begin_anew(tracker, m, angle):
     tracker.request[REQUEST.restart], tracker.request[REQUEST.change] = 1.0, 0.0
     hold(tracker, m, angle)
     m.started, m.last, m.between = 0, -math.inf, tracker.settings[0].period
-    m.instant, m.due, m.first = 0, 0, 0
+    m.instant, m.due, m.first, m.predicted = 0, 0, 0, 0
     m.status, m.jumps, m.newest = HELD, 0, -math.inf
     m.speed, m.yaw_rate = math.nan, 0.0
     m.x = m.y = m.yaw = math.nan

@@ -39,6 +39,7 @@ TRACKER_SETTINGS = record(
         PERIOD_FIELD,
         *ANGLE_LIMITS,  # of the controller's command
         "move",  # rad, by which a command goes back at a call while the car turns against its steering
+        "sample_arm",  # m, from the centre of mass forwards to the point of the car whose x and y a sample has
         "furthest",  # m, from the path, beyond which the car is off it
         "late",  # periods that the controller's filter goes through anew; 0: it takes nothing late
         "filtered",  # 1: the controller has a Kalman filter for what is missing, 0: it is given an estimate
@@ -67,6 +68,7 @@ MEMORY = record(
         "rejection",  # REPEATED or NO_TIME of the call at hand, else 0
         "answered",  # 1: the call at hand gave a new command or status
         "fresh",  # 1: a new position is in the measurement
+        "predicted",  # 1: the controller has predicted its way along this path
         "speed",  # m/s, last known, NaN: none yet
         "yaw_rate",  # rad/s
         "x", "y", "yaw",  # m, m, rad: of the car at the present instant
@@ -82,7 +84,8 @@ MEMORY = record(
         "ended_top_speed",  # m/s, first top speed that ended when the delay of the steering was learned; 0: none
     ),
     integers=(
-        "started", "instant", "due", "first", "status", "rejection", "answered", "fresh", "jumps",
+        "started", "instant", "due", "first", "status", "rejection", "answered", "fresh", "predicted",
+        "jumps",
     ),
 )  # fmt: skip
 """What a tracker remembers: all of it."""

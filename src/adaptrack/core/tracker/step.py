@@ -9,11 +9,12 @@ import math
 
 from ..controllers.contract import wrapped
 from ..controllers.part import COMMON_ANSWER, ControllerPart, apply_requests, control
+from ..controllers.receding import predict_path
 from ..estimators.kalman import SENSOR_COUNT
 from ..estimators.learning import Beliefs
 from ..input_check.call import check_call
 from ..input_check.record import SAMPLE, memory_of
-from ..kernel import Caller, Place, exported, inlined, int64, local, record, vector, viewer, void
+from ..kernel import Caller, Place, exported, float64, inlined, int64, local, record, several, vector, viewer, void
 from ..loop import period_of
 from ..maths.exact import clip
 from ..models.contract import MEASUREMENT
@@ -266,6 +267,7 @@ def _depart(slot, tracking):
         m.belief_state, m.belief_at_bound = learned.belief_state, learned.belief_at_bound
         m.delay_sigma = learned.belief_delay_sigma
     m.status, m.answered = _status(tracker, m, not usable or answer[COMMON_ANSWER.held] > 0.5), 1
+    m.predicted = 1
     m.due -= 1
     if m.due > 0:  # at an instant without a call nothing was sent
         pose.hold(tracker, m, previous)
@@ -319,6 +321,20 @@ def tracker_step(tracking):
     _keep_time(tracking.tracker)
     if tracking.control_speed != 0:
         _control_speed(tracking.control_speed, tracking.tracker, tracking.longitudinal)
+
+
+@exported(several(int64, float64)(Place(Tracking), vector))
+def tracker_predict(tracking, points):
+    """Write x and y (m), in turn, of where an MPC expects the car, as of the last control instant; see `predict_path`.
+
+    It returns the number of points, and the time (s) from that instant to the first one. The number is 0 for other
+    controllers, and before the first control instant on this path.
+    """
+    tracker, controller, m = tracking.tracker, tracking.controller, tracking.tracker.memory[0]
+    if controller.plans == 0 or m.predicted == 0:
+        return 0, math.nan
+    speeds = tracker.speeds[: EXPECTED_SPEEDS if tracker.plan.s.size > 1 else 1]
+    return predict_path(0, m.station, speeds, 0, tracker.path, controller.mpc, points)
 
 
 @exported(void(Place(Tracking)))

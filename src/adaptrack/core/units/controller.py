@@ -16,7 +16,7 @@ from ..speed.plan import planned_speeds
 from ..speed.speed_control import SPEED_REQUEST
 from ..tracker.longitudinal import write_requests
 from ..tracker.signals import TRACKED, TRACKER_SAMPLE, sample_of
-from ..tracker.step import Tracking, tracker_step
+from ..tracker.step import Tracking, tracker_predict, tracker_step
 from ..tracker.take_call import tracker_engage
 from .contract import outside
 
@@ -62,6 +62,13 @@ STEERING_OUTPUTS = (
 )
 SPEED_OUTPUTS = fields_of(SPEED_REQUEST)
 """Outputs of a unit with speed control, behind the others."""
+PREDICTION_OUTPUTS = (
+    Field("predicted_count", "", 0, "points of the path on which the car is expected; 0: there is no prediction"),
+    Field("predicted_delay", "s", 0.0, "from the sample to the first of these points; the others are a period apart"),
+    Field("predicted_x", "m", 0.0, "expected position of the centre of mass in the world; NaN behind predicted_count"),
+    Field("predicted_y", "m", 0.0, "expected position of the centre of mass in the world; NaN behind predicted_count"),
+)
+"""Outputs of a unit that predicts, the last of all; x and y are arrays, one number for each instant of the horizon."""
 STEERING_VALUE = columns(*STEERING_CONSTANTS, *PARAMETERS, *STEERING_INPUTS, *STEERING_OUTPUTS)
 """The values of a controller."""
 SPEED_VALUE = columns(*fields_of(STEERING_VALUE), *SPEED_OUTPUTS)
@@ -79,9 +86,13 @@ _SOURCES = np.array(
 _places = local(2)
 SteeringUnit = record(
     "SteeringUnit",
-    (("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("tracking", Tracking)),
-)
-"""A unit of co-simulation (see `contract`): its values by `STEERING_VALUE`, with a speed control by `SPEED_VALUE`."""
+    (
+        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("tracking", Tracking),
+        ("points", vector),  # x and y (m), in turn, of the predicted path; empty without predictions
+    ),
+)  # fmt: skip
+"""A unit of co-simulation (see `contract`): its values by `STEERING_VALUE`, with a speed control by `SPEED_VALUE`, then
+`PREDICTION_OUTPUTS`."""
 
 
 @inlined
@@ -117,6 +128,21 @@ def _write_outputs(tracker, values):
             values[STEERING_VALUE.planned_speed + i] = places[i]
 
 
+@inlined
+def _write_prediction(unit):
+    """Write the predicted path behind all other outputs."""
+    values, points, horizon = unit.values, unit.points, unit.points.size // 2
+    if horizon == 0:
+        return
+    count, delay = tracker_predict(unit.tracking, points)
+    outputs = values[values.size - 2 * horizon - 2 :]
+    outputs[0], outputs[1] = count, delay
+    for i in range(horizon):
+        x, y = points[2 * i], points[2 * i + 1]
+        outputs[2 + i] = x if i < count else math.nan
+        outputs[2 + horizon + i] = y if i < count else math.nan
+
+
 @exported(int64(Place(SteeringUnit)))
 def steering_begin(unit):
     """Read the parameters and engage; the status."""
@@ -127,6 +153,7 @@ def steering_begin(unit):
     tracker_engage(values[STEERING_VALUE.start_wheel_angle], math.nan, tracker)
     values[STEERING_VALUE.time] = 0.0
     _write_outputs(tracker, values)
+    _write_prediction(unit)
     return OK
 
 
@@ -139,6 +166,7 @@ def steering_step(unit):
     if tracking.control_speed != 0:
         write_requests(tracking.longitudinal, values, SPEED_VALUE.acceleration)
     _write_outputs(tracking.tracker, values)
+    _write_prediction(unit)
     period = values[STEERING_VALUE.period]
     values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
     return OK

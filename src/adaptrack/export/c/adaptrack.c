@@ -9,6 +9,7 @@ typedef struct adaptrack_memory memory_of_tracker;
 extern void adaptrack_tracker_step(tracking *);
 extern int64_t adaptrack_tracker_engage(double wheel_angle, double near, struct tracker_records_TrackerRecord *);
 extern void adaptrack_tracker_follow(double near, struct tracker_records_TrackerRecord *);
+extern void adaptrack_tracker_predict(tracking *, double *points, int64_t size, adaptrack_word answers[2]);
 extern int64_t adaptrack_path_words(const double *points, int64_t count, int64_t two, int64_t closed);
 extern void adaptrack_path_through(const double *points, int64_t count, int64_t two, int64_t closed, double noise,
                                    double *memory, int64_t size, adaptrack_word answers[2]);
@@ -755,6 +756,24 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
 #if ADAPTRACK_SPEED_CONTROL
         read_requests(record_of(tracker), answer);
 #endif
+    }
+    adaptrack_give(tracker);
+    return error;
+}
+
+adaptrack_error adaptrack_predicted_path(void *tracker, double *points, size_t room, size_t *count, double *first) {
+    adaptrack_word answers[2];
+    adaptrack_error error;
+    if (!count || !first || (!points && room > 0)) return ADAPTRACK_BAD_ARGUMENT;
+    error = adaptrack_take(tracker);
+    if (error != ADAPTRACK_OK) return error;
+    error = adaptrack_arithmetic();
+    if (error == ADAPTRACK_OK) error = check_path(tracker);
+    if (error == ADAPTRACK_OK) {
+        if (room > ADAPTRACK_HORIZON) room = ADAPTRACK_HORIZON;
+        adaptrack_tracker_predict(record_of(tracker), points, 2 * (int64_t)room, answers);
+        *count = (size_t)answers[0].whole, *first = answers[1].number;
+        if (*count > room) error = ADAPTRACK_TOO_SMALL;
     }
     adaptrack_give(tracker);
     return error;

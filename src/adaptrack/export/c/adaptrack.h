@@ -5,7 +5,7 @@
    written, allocated or read. Calls on different trackers may run at the same time; a second one on the same tracker
    answers ADAPTRACK_BUSY. Arithmetic must round to nearest and have subnormal numbers, as processors begin. A file that
    includes this header does not compile with -Ofast or -ffast-math. A program linked with them may switch subnormal
-   numbers off: adaptrack_init, _path, _engage, _follow and _step then return ADAPTRACK_ARITHMETIC. */
+   numbers off: adaptrack_init, _path, _engage, _follow, _step and _predicted_path then return ADAPTRACK_ARITHMETIC. */
 #ifndef ADAPTRACK_H
 #define ADAPTRACK_H
 #include "adaptrack_config.h" /* ADAPTRACK_SIZE, _STATE_SIZE (bytes), _PERIOD (s), _MOST_POINTS, _VERSION, constants */
@@ -180,6 +180,14 @@ typedef struct {
    beyond what a car can have counts as not known. ADAPTRACK_OUT_OF_ORDER before there is a path, ADAPTRACK_BAD_PATH
    when its memory was overwritten. Where this does not answer ADAPTRACK_OK, the answer is not written. */
 adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, adaptrack_answer *answer);
+
+/* Where the controller intends to go, as of the last control instant: `points`, x and y (m) one behind the other, are
+   where it expects the centre of mass, in the axes of the path. The first point is `first` (s) after that instant, one
+   period behind the dead time, and the others follow every ADAPTRACK_PERIOD. `room`: of points, for which there is
+   memory; ADAPTRACK_TOO_SMALL where it is less than `count`, nothing written; ADAPTRACK_HORIZON is enough. `count` is 0
+   without a prediction: the controller is no MPC (ADAPTRACK_HORIZON is 0), there was no control instant on this path
+   with these constants yet, or the last one found no solution. Errors as of adaptrack_step. */
+adaptrack_error adaptrack_predicted_path(void *tracker, double *points, size_t room, size_t *count, double *first);
 
 #if ADAPTRACK_PLANNER
 /* -- a planner's trajectories ------------------------------------------------------------------------------------- */

@@ -137,6 +137,10 @@ class BasicTracker {
     [[nodiscard]] Error step(const adaptrack_sample &sample, Answer &answer) noexcept {
         return adaptrack_step(memory_.data(), &sample, &answer);
     }
+    // x and y (m), one behind the other, in memory for `room` points; see adaptrack_predicted_path.
+    [[nodiscard]] Error predicted_path(double *points, std::size_t room, std::size_t &count, double &first) noexcept {
+        return adaptrack_predicted_path(memory_.data(), points, room, &count, &first);
+    }
     [[nodiscard]] std::size_t state_size() const noexcept { return adaptrack_state_size(memory_.data()); }
     [[nodiscard]] Error save(void *state, std::size_t size) noexcept {
         return adaptrack_save(memory_.data(), state, size);

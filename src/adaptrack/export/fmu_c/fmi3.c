@@ -47,11 +47,12 @@ typedef void (*fmi3UnlockPreemptionCallback)(void);
 #define VALUES(type, kind, back) \
     PUBLIC(fmi3Get##type)(ME, REFERENCES, fmi3##type values[], size_t many) { \
         if (!fits(instance, references, count, values, many)) return fmi3Error; \
-        for (size_t i = 0; i < count; i++) { \
-            double value; \
-            if (fmu_get(instance, references[i], kind, &value) != FMU_OK) return fmi3Error; \
-            values[i] = (fmi3##type)(back); \
-        } \
+        for (size_t i = 0; i < count; i++) \
+            for (size_t j = 0; j < fmu_length(instance, references[i]); j++) { \
+                double value; \
+                if (fmu_get(instance, references[i] + (uint32_t)j, kind, &value) != FMU_OK) return fmi3Error; \
+                *values++ = (fmi3##type)(back); \
+            } \
         return fmi3OK; \
     } \
     PUBLIC(fmi3Set##type)(ME, REFERENCES, const fmi3##type values[], size_t many) { \
@@ -67,9 +68,12 @@ static fmi3Status none(fmi3Instance instance, size_t count) {
     return count == 0 ? fmi3OK : (fmi3Status)fmu_refuse(instance, "there are no values of this type");
 }
 
-static int fits(fmi3Instance instance, const void *references, size_t count, const void *values, size_t many) {
-    if (instance && (count == 0 || (references && values)) && count == many) return 1;
-    fmu_refuse(instance, "values: a null pointer, or not as many values as references");
+static int fits(fmi3Instance instance, REFERENCES, const void *values, size_t many) {
+    const int is_given = instance && (count == 0 || (references && values));
+    size_t length = 0;
+    for (size_t i = 0; is_given && i < count; i++) length += fmu_length(instance, references[i]);
+    if (is_given && length == many) return 1;
+    fmu_refuse(instance, "values: a null pointer, or not as many values as the references stand for");
     return 0;
 }
 

@@ -288,6 +288,12 @@ fmu_status fmu_get(fmu *f, uint32_t reference, int type, double *value) {
     return FMU_OK;
 }
 
+size_t fmu_length(const fmu *f, uint32_t reference) {
+    size_t length = 1;
+    while (reference < f->count && reference + length < f->count && (f->kinds[reference + length] & FMU_ELEMENT)) length++;
+    return length;
+}
+
 /* -- its state: size, mode, stale, start, end, CRC-32 of these, then the memory's ------------------------------------- */
 typedef struct {
     uint64_t size;

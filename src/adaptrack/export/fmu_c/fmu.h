@@ -13,8 +13,9 @@
 /* The numbers are those of fmi2Status and fmi3Status. */
 typedef enum { FMU_OK = 0, FMU_ERROR = 3, FMU_FATAL = 4 } fmu_status;
 typedef enum { FMU_MADE, FMU_SETTING, FMU_STEPPING, FMU_OVER, FMU_FAILED } fmu_mode;
-/* What a value is: its type, and whether it may be set; as in adaptrack.export.fmu. */
-enum { FMU_REAL = 0, FMU_WHOLE = 1, FMU_TRUTH = 2, FMU_TYPE = 3, FMU_PARAMETER = 4, FMU_INPUT = 8 };
+/* What a value is: its type, whether it may be set, and whether it belongs to the array of the value before; as in
+   adaptrack.export.units. */
+enum { FMU_REAL = 0, FMU_WHOLE = 1, FMU_TRUTH = 2, FMU_TYPE = 3, FMU_PARAMETER = 4, FMU_INPUT = 8, FMU_ELEMENT = 32 };
 
 typedef struct {
     uint64_t number;
@@ -62,6 +63,8 @@ fmu_status fmu_terminate(fmu *);
 fmu_status fmu_step(fmu *, double time, double size);
 fmu_status fmu_set(fmu *, uint32_t reference, int type, double value);
 fmu_status fmu_get(fmu *, uint32_t reference, int type, double *value);
+/* How many values a reference stands for: those of the array that begins there, else one. */
+size_t fmu_length(const fmu *, uint32_t reference);
 /* A state, in memory of its own where *state is null, and its bytes. */
 fmu_status fmu_save(fmu *, void **state);
 fmu_status fmu_restore(fmu *, const void *state);

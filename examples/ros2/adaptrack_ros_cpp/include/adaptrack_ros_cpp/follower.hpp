@@ -89,6 +89,10 @@ class Follower {
     void engage(bool on, double wheel_angle = 0.0);
     // The command for now (s, on the clock of the stamps), once per period; none while somebody else drives.
     const Command *tick(double now);
+    // Where the controller expects the centre of mass, without a motion: t is s after the last tick, yaw the direction
+    // of the way. Empty where it expects nothing, and while the safe command is sent.
+    const std::vector<Sample> &predicted_path();
+    const std::string &path_frame() const { return path_frame_; }
     Diagnosis diagnosis(double now) const;
 
   private:
@@ -137,6 +141,7 @@ class Follower {
     std::optional<adaptrack_answer> answer_;
     adaptrack_error error_ = ADAPTRACK_OK;
     Command command_;
+    std::vector<Sample> predicted_;
 };
 
 } // namespace adaptrack_ros

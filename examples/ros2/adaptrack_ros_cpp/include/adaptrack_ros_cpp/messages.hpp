@@ -142,13 +142,34 @@ void fill_drive(const Command &command, Drive &drive) {
     drive.steering_angle_velocity = drive.jerk = 0.0F;
 }
 
+// The builtin_interfaces/Time that is `delay` (s) after a stamp.
+template <class Time>
+Time later(const Time &stamp, double delay) {
+    const auto nanoseconds = static_cast<std::int64_t>(stamp.nanosec) + std::llround(1e9 * delay);
+    Time time = stamp;
+    time.sec += static_cast<std::int32_t>(nanoseconds / 1000000000);
+    time.nanosec = static_cast<std::uint32_t>(nanoseconds % 1000000000);
+    return time;
+}
+
+// Write a nav_msgs/Path of predicted places, whose times (s) count from a stamp.
+template <class Path, class Time>
+void fill_path(const std::vector<Sample> &places, const Time &stamp, const std::string &frame, Path &path) {
+    path.header.stamp = stamp, path.header.frame_id = frame;
+    path.poses.resize(places.size());
+    for (std::size_t k = 0; k < places.size(); k++) {
+        const Sample &place = places[k];
+        auto &each = path.poses[k];
+        each.header.stamp = later(stamp, place.t), each.header.frame_id = frame;
+        each.pose.position.x = place.x, each.pose.position.y = place.y;
+        each.pose.orientation.z = std::sin(0.5 * place.yaw), each.pose.orientation.w = std::cos(0.5 * place.yaw);
+    }
+}
+
 // Write an autoware_control_msgs/Control of a control period (s), whose state is expected a period after the stamp.
 template <class Control, class Time>
 void fill_control(const Command &command, const Time &stamp, double period, Control &control) {
-    const auto nanoseconds = static_cast<std::int64_t>(stamp.nanosec) + std::llround(1e9 * period);
-    Time after = stamp;
-    after.sec += static_cast<std::int32_t>(nanoseconds / 1000000000);
-    after.nanosec = static_cast<std::uint32_t>(nanoseconds % 1000000000);
+    const Time after = later(stamp, period);
     auto &lateral = control.lateral;
     auto &longitudinal = control.longitudinal;
     control.stamp = lateral.stamp = longitudinal.stamp = stamp;
