@@ -660,12 +660,12 @@ def packed_plan(plan: SpeedPlan | FollowedPlan | None) -> Any:
 
 def tracking_of(
     controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, part: Any = None,
-    longitudinal: Any = None,
+    longitudinal: Any = None, planned: Any = None,
 ) -> Any:  # fmt: skip
     """A tracker with a compiled controller at its start, engaged (`core.tracker.step.Tracking`).
 
     part: the controller as a part of loops, by default a fresh one; longitudinal: the speed control behind the tracker
-    (`core.tracker.longitudinal.Longitudinal`), None: none. The controller stays as it is.
+    (`core.tracker.longitudinal.Longitudinal`), None: none; planned: as in `tracker_of`. The controller stays as it is.
 
     Raises
     ------
@@ -675,7 +675,7 @@ def tracking_of(
     scheduler = controller.scheduler
     if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
         raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
-    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller))
+    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller), planned)
     tracker_engage(0.0, math.nan, tracker)
     part = controller.part(1) if part is None else part
     if scheduler is not None:
