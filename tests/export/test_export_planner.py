@@ -6,6 +6,7 @@ import dataclasses
 import math
 import re
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -354,10 +355,12 @@ def test_a_restored_tracker_on_the_same_trajectory_goes_on_as_the_saved_one(libr
     assert [call(first, k) for k in range(100, 140)] == [call(other, k) for k in range(100, 140)]
 
 
-def test_the_header_has_the_table_of_who_drives_and_the_library_passes_its_own_check(library):
-    header = (library.folder / "include" / "adaptrack.h").read_text()
+def test_header_and_docs_have_the_table_of_who_drives_and_the_library_passes_its_own_check(library):
+    header = (library.folder / "include" / "adaptrack.h").read_text().splitlines()
+    page = (Path(__file__).parents[2] / "docs" / "planner.md").read_text().splitlines()
     for row in WHO_DRIVES:
-        assert any(line.split() == " ".join(row).split() for line in header.splitlines())
+        assert any(line.split() == " ".join(row).split() for line in header)
+        assert f"| {' | '.join(row)} |" in page
     assert " steps, 0 differ" in library.make("check", "build/times")
 
 

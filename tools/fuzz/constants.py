@@ -26,6 +26,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.scheduling import load_scheduler
+from adaptrack.core.tracker.signals import TRACKED, TRACKER_SAMPLE
 from adaptrack.export.c_library import export_c
 from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.memory import FILE_HEAD
@@ -145,7 +146,7 @@ class Library:
 
     def replay(self, constants: bytes) -> tuple[int, int]:
         """The error of the recorded minute under constants, and how many of its steps differ."""
-        differ, answer = ctypes.c_int(0), np.zeros(8)
+        differ, answer = ctypes.c_int(0), np.zeros(len(TRACKED))
         place = answer.ctypes.data_as(ctypes.c_void_p)
         error = self.c.drive_recorded(constants, ctypes.c_size_t(len(constants)), ctypes.byref(differ), place)
         return int(error), differ.value
@@ -153,7 +154,7 @@ class Library:
     def outcome(self, constants: bytes, under_way: bool) -> str:
         """What becomes of constants that a tracker begins with, or gets under way."""
         self.raw[:] = CANARY
-        sample, answer, first = np.full(12, math.nan), np.zeros(8), 0
+        sample, answer, first = np.full(len(TRACKER_SAMPLE), math.nan), np.zeros(len(TRACKED)), 0
         if under_way:
             self._begin(self.constants)
             first = 20

@@ -63,15 +63,16 @@ class DrivenBy(StrEnum):
 
 VERDICTS, DRIVERS = tuple(Verdict), tuple(DrivenBy)
 WHO_DRIVES = (
-    ("trajectories come", "any", DrivenBy.PLANNER, "as the trajectory does"),
-    ("silence", "valid", DrivenBy.FALLBACK, "at rest at the end of the fallback, and stays there"),
-    ("silence", "stale, unfit, none", DrivenBy.STOP, "comfort stop along the last trajectory, and stays there"),
-    ("one or two return", "as before", DrivenBy.FALLBACK, "as before; likewise where nobody drives"),
-    ("a third in a row", "any", DrivenBy.PLANNER, "as the trajectory does"),
-    ("a driver's pedals", "as before", DrivenBy.PLANNER, "the requests follow the driver; the rows above go on"),
-    ("a path", "any", DrivenBy.NOBODY, "as the path does"),
+    ("trajectories arrive", "any", DrivenBy.PLANNER, "as the trajectory does"),
+    ("silence", "valid", DrivenBy.FALLBACK, "at rest at the end of the fallback; the car stays there"),
+    ("silence", "stale, unfit, none", DrivenBy.STOP, "comfort stop along the last trajectory; the car stays there"),
+    ("one or two arrive again", "any", "as before", "as before"),
+    ("the third in a row", "any", DrivenBy.PLANNER, "as the trajectory does"),
+    ("a driver at the pedals", "any", "as before", "the requests follow the driver, then the rows above"),
+    ("no position", "any", "as before", "the speeds go on over the way driven; then as without a planner"),
+    ("a path is followed", "any", DrivenBy.NOBODY, "as the path does"),
 )
-"""What happens, the fallback then, who drives, and how that ends."""
+"""Rows of docs/planner.md and of the C header: the event, the fallback then, who drives, and how that ends."""
 
 
 CarPoint = Literal["centre of mass", "rear axle", "front axle"]

@@ -189,8 +189,8 @@ def _actions() -> str:
 
 def _who_drives() -> str:
     """The table of the header: who drives when a planner falls silent."""
-    rows = (("what happens", "fallback", "driven_by", "how it ends"), *WHO_DRIVES)
-    return "\n".join(f"   {event:<19}{fallback:<20}{driver:<11}{end}" for event, fallback, driver, end in rows)
+    rows = (("event", "fallback", "driven_by", "how it ends"), *WHO_DRIVES)
+    return "\n".join(f"   {event:<25}{fallback:<20}{driver:<11}{end}" for event, fallback, driver, end in rows)
 
 
 def _error_names() -> str:

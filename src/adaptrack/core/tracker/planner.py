@@ -28,6 +28,7 @@ from ..kernel import (
     void,
 )
 from ..maths.exact import clip, square
+from ..maths.exponential import hypot
 from ..physics.forces import GRAVITY
 from ..planned import clock, splice
 from ..planned.condition import condition
@@ -156,6 +157,8 @@ def _write_speeds(nodes, count, line, speeds):
     k, s, length = -1, 0.0, line.numbers[LENGTH]
     for j in range(count):
         node, is_rest = nodes[j], nodes[j, NODE.leave] > nodes[j, NODE.arrive]
+        if j > 0:
+            s += hypot(node[NODE.x] - nodes[j - 1, NODE.x], node[NODE.y] - nodes[j - 1, NODE.y])
         s, _, _, _ = foot_near(node[NODE.x], node[NODE.y], s, line)
         place = length if j == count - 1 else clip(s, 0.0, length)
         if j == 0 and place > LEAST_STEP:  # the line begins behind the trajectory
@@ -241,6 +244,8 @@ def _write_line(arrival, car, count, noise, rooms, tracker):
     line, s = _path(rooms), 0.0
     for k in range(end - first):
         x, y = points[first + k, 0], points[first + k, 1]
+        if k > 0:
+            s += hypot(x - points[k - 1, 0], y - points[k - 1, 1])
         s, _, _, _ = foot_near(x, y, s, line)
         points[k, 0], points[k, 1], points[k, 2] = x, y, s
     return OK, end - first

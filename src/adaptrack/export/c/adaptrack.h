@@ -229,8 +229,11 @@ adaptrack_error adaptrack_planner(void *tracker, void *memory, size_t size);
 adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_trajectory *trajectory,
                                             const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
                                             size_t *flaw);
-/* Who drives, `driven_by` of an answer. adaptrack_step goes over to the fallback by itself.
+/* Who drives, `driven_by` of an answer; adaptrack_step goes over to the fallback by itself:
 @WHO_DRIVES@
+   silence: none was TAKEN or the SAME for `Following.silence`. valid: younger than `fallback_age`, and it begins at the
+   car. stop: a speed control stops the car; without one your program does. The driver comes before the fallback, and
+   that before the planner.
    A saved state does not hold the trajectory and its fallback. adaptrack_restore answers ADAPTRACK_OTHER_PATH unless the
    tracker follows the same trajectory, joined in the same way; a fallback stays as the tracker has it. */
 #endif
