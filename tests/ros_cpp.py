@@ -27,10 +27,10 @@ LIMITS = (
 
 
 @cache
-def controller(folder, speed_control=False):
+def controller(folder, speed_control=False, follow="path"):
     """The folder of the exported controller, and the objects of its C sources."""
     find_program("g++")
-    package_module("export_controller").export(follower.Parameters(speed_control=speed_control), folder)
+    package_module("export_controller").export(follower.Parameters(speed_control=speed_control, follow=follow), folder)
     return compile_export(folder)
 
 
@@ -45,10 +45,10 @@ def includes(folder):
 
 
 @cache
-def shim(folder, speed_control=False):
+def shim(folder, speed_control=False, follow="path"):
     """The logic as a library."""
     file, level = folder / "follower.so", "-O0" if speed_control else "-O1"  # once with an optimiser's warnings
-    sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp", *controller(folder, speed_control)
+    sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp", *controller(folder, speed_control, follow)
     run_program("g++", *STRICT, level, "-shared", "-fPIC", *includes(folder), *sources, "-o", file)
     library = ctypes.CDLL(str(file))
     library.ros_make.restype = ctypes.c_void_p
@@ -80,7 +80,7 @@ class CppFollower:
         why = ctypes.create_string_buffer(200)
         limits = numbers([float(getattr(self.parameters, name)) for name in LIMITS])
         size = ctypes.c_size_t(0 if constants is None else len(constants))
-        names = (getattr(self.parameters, f"{name}_message").encode() for name in ("pose", "motion"))
+        names = (getattr(self.parameters, name).encode() for name in ("pose_message", "motion_message", "follow"))
         self._made = ctypes.c_void_p(library.ros_make(limits, *names, constants, size, why, ctypes.c_size_t(len(why))))
         if not self._made:
             raise at.InvalidInput(why.value.decode())
@@ -104,7 +104,10 @@ class CppFollower:
         values, frame = module.motion_of(message), module.frame_of_motion(message).encode()
         self._library.ros_motion(self._made, *map(ctypes.c_double, values), frame)
 
-    def path(self, message):
+    def path(self, message, now=None):
+        if self.parameters.follow == "trajectory":
+            self._follow_trajectory(message, now)
+            return
         if hasattr(message, "points"):
             rows = [(point.longitudinal_velocity_mps, point.pose) for point in message.points]
             give = self._library.ros_trajectory
@@ -113,6 +116,19 @@ class CppFollower:
             give = self._library.ros_path
         flat = [value for first, pose in rows for value in (first, pose.position.x, pose.position.y)]
         give(self._made, numbers(flat), ctypes.c_size_t(len(rows)), message.header.frame_id.encode())
+
+    def _follow_trajectory(self, message, now):
+        stamp, is_path = seconds(message.header.stamp), hasattr(message, "poses")
+        rows = [
+            (seconds(point.header.stamp) - stamp if is_path else seconds(point.time_from_start),
+             point.pose.position.x, point.pose.position.y, point.pose.orientation.z, point.pose.orientation.w,
+             getattr(point, "longitudinal_velocity_mps", 0.0), getattr(point, "acceleration_mps2", 0.0))
+            for point in (message.poses if is_path else message.points)
+        ]  # fmt: skip
+        self._library.ros_planned(
+            self._made, numbers(np.ravel(rows)), ctypes.c_size_t(len(rows)), ctypes.c_double(stamp),
+            ctypes.c_double(now), int(is_path), message.header.frame_id.encode(),
+        )  # fmt: skip
 
     def engage(self, on, wheel_angle=0.0):
         self._library.ros_engage(self._made, int(on), ctypes.c_double(wheel_angle))

@@ -74,22 +74,24 @@ def imu(t=0.0, rate=0.0):
     return Record(header=header(t, "imu"), angular_velocity=Record(x=0.0, y=0.0, z=rate))
 
 
-def path(points, times=None, frame="map"):
+def path(points, times=None, frame="map", t=0.0):
     """nav_msgs/Path"""
     times = [0.0] * len(points) if times is None else times
     poses = [
         Record(header=header(t, frame), pose=pose(float(x), float(y))) for (x, y), t in zip(points, times, strict=True)
     ]
-    return Record(header=header(0.0, frame), poses=poses)
+    return Record(header=header(t, frame), poses=poses)
 
 
-def trajectory(points, speeds, frame="map"):
+def trajectory(points, speeds, frame="map", times=None, yaws=None, t=0.0):
     """autoware_planning_msgs/Trajectory"""
+    times, yaws = ([0.0] * len(points) if column is None else column for column in (times, yaws))
     places = [
-        Record(pose=pose(float(x), float(y)), longitudinal_velocity_mps=float(v))
-        for (x, y), v in zip(points, speeds, strict=True)
-    ]
-    return Record(header=header(0.0, frame), points=places)
+        Record(time_from_start=stamp(time), pose=pose(float(x), float(y), yaw), longitudinal_velocity_mps=float(v),
+               acceleration_mps2=0.0)
+        for (x, y), v, time, yaw in zip(points, speeds, times, yaws, strict=True)
+    ]  # fmt: skip
+    return Record(header=header(t, frame), points=places)
 
 
 def drive_stamped():

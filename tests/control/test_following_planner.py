@@ -234,3 +234,30 @@ def test_a_planner_that_hides_an_offset_is_reported_and_one_that_shows_it_is_not
     assert len(hidden_offset(0.3, begins_at_car=True)) == 1
     assert not hidden_offset(0.3, begins_at_car=False)
     assert not hidden_offset(0.05, begins_at_car=True)
+
+
+# -- points of the car ------------------------------------------------------------------------------------------------
+def test_samples_of_the_rear_axle_are_those_of_the_centre_of_mass_moved_back():
+    commands = []
+    for point, arm in (("centre of mass", 0.0), ("rear axle", -CAR.lr), ("front axle", CAR.lf)):
+        tracker = make_tracker(ROAD, sample_point=point)
+        for k in range(20):
+            place = ROAD.at(20.0 + 0.75 * k)
+            x, y = place.x + arm * np.cos(place.heading + 0.01), place.y + arm * np.sin(place.heading + 0.01)
+            out = tracker.step(0.05 * k, float(x), float(y), float(place.heading) + 0.01, SPEED, 0.0)
+        commands.append((out.command, out.offset))
+    np.testing.assert_allclose(commands[1:], [commands[0]] * 2, rtol=0.0, atol=1e-9)
+
+
+def test_a_trajectory_of_the_rear_axle_on_a_circle_leads_the_centre_of_mass_outside():
+    radius, t = 6.0, np.arange(0.0, 6.0, 0.1)
+    angle = 2.0 * t / radius
+    circle = PlannedTrajectory(
+        t, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), yaw=angle, speed=0.0 * t + 2.0
+    )
+    tracker = make_tracker(following=Following(tracked_point="rear axle"))
+    tracker.follow(circle, now=0.0)
+    foot = tracker.path.at(np.linspace(8.0, 12.0, 9))
+    distance = np.hypot(foot.x, foot.y - radius)
+    np.testing.assert_allclose(distance, np.hypot(radius, CAR.lr), atol=2e-3)
+    assert np.hypot(radius, CAR.lr) - radius == pytest.approx(CAR.lr**2 / (2.0 * radius), rel=0.05)

@@ -341,6 +341,89 @@ def test_speeds_of_the_path_are_driven(Follower):
     assert "backwards" in node.diagnosis(0.0)[1]
 
 
+@pytest.fixture(params=["trajectory", "stamped path"])
+def planned(request):
+    """A message by whose times a car drives at 6 m/s along the x axis from a place on."""
+
+    def make(x, now):
+        t = 0.1 * np.arange(60)
+        points = np.stack([x + 6.0 * t, np.zeros(60)], axis=-1)
+        if request.param == "stamped path":
+            return path(points, now + t, t=now)
+        return trajectory(points, np.full(60, 6.0), times=t, yaws=np.zeros(60), t=now)
+
+    return make
+
+
+@pytest.fixture
+def timed(Follower, request, tmp_path_factory):
+    """A follower of trajectories."""
+    parameters = Parameters(follow="trajectory")
+    if Follower is follower.Follower:
+        return Follower(parameters)
+    module, _ = request.getfixturevalue("cpp")
+    return module.CppFollower(module.shim(tmp_path_factory.getbasetemp() / "timed", follow="trajectory"), parameters)
+
+
+def test_a_late_car_catches_up_with_the_times_and_stops_when_the_planner_falls_silent(timed, planned):
+    speed, x = 6.0, -2.0 - CAR.lr  # of the rear axle, 2 m behind its time
+    assert timed.tick(0.0).stopping == follower.NO_PATH
+    for k in range(1, 120):
+        now = 0.05 * k
+        if k % 2 and k < 80:
+            timed.path(planned(6.0 * now, now), now)
+        timed.pose(odometry(now, x=x + 6.0 * 0.05 + CAR.lr, speed=speed))
+        command = timed.tick(now)
+        if k == 10:
+            assert command.speed == pytest.approx(6.7, abs=0.1)  # 0.4/s times the way beyond 0.2 m
+        if k == 79:
+            level, text, values = timed.diagnosis(now)
+            assert (level, text, values["driven by"]) == (follower.OK, "following", "planner")
+            assert float(values["late (s)"]) < 0.15
+        assert k == 89 or bool(command.stopping) == (k > 89)  # 0.5 s after the last one
+        speed += min(max(command.speed - speed, -0.15), 0.075)
+        x += 0.05 * speed
+    assert command.stopping == follower.NO_PLANNER
+    assert timed.diagnosis(now)[2]["driven by"] == "stop"
+
+
+def test_a_trajectory_of_a_future_stamp_or_with_falling_times_is_left_out_with_its_reason(timed):
+    points = np.stack([np.arange(0.0, 40.0), np.zeros(40)], axis=-1)
+    times = 0.2 * np.arange(40)
+    timed.path(trajectory(points, np.full(40, 5.0), times=times, t=1.0), 1.0)
+    timed.pose(odometry(1.0, x=0.0, speed=5.0))
+    assert not timed.tick(1.0).stopping
+    timed.path(trajectory(points, np.full(40, 5.0), times=times, t=9.0), 1.1)
+    assert "path left out: it is early" in timed.diagnosis(1.1)[1]
+    timed.path(trajectory(points, np.full(40, 5.0), times=times[::-1], t=1.2), 1.2)
+    assert "path left out:" in timed.diagnosis(1.2)[1]
+    timed.path(trajectory(points[6:], np.full(34, 5.0), times=times[:34], t=1.2), 1.2)
+    assert timed.diagnosis(1.2)[:2] == (follower.OK, "following")
+
+
+@pytest.mark.compiled
+def test_both_nodes_follow_a_trajectory_alike(cpp, tmp_path):
+    """On a bend, replanned each 0.1 s, late by 2 m; yaws by two libraries' arctangents differ in the last bit."""
+    parameters = Parameters(follow="trajectory", speed_control=True)
+    library = cpp[0].shim(tmp_path, speed_control=True, follow="trajectory")
+    nodes, t = [follower.Follower(parameters), cpp[0].CppFollower(library, parameters)], 0.1 * np.arange(50)
+    for k in range(100):
+        now, commands = 0.05 * k, []
+        x = 5.0 * now + 5.0 * t
+        points, yaws = np.stack([x, 8.0 * np.sin(x / 25.0)], axis=-1), np.arctan(0.32 * np.cos(x / 25.0))
+        speeds = np.hypot(5.0, np.gradient(points[:, 1], 0.1)).astype(np.float32)  # as in the message
+        car = 5.0 * now - 2.0
+        for node in nodes:
+            if k % 2 == 0 and k < 60:
+                node.path(trajectory(points, speeds, times=t, yaws=yaws, t=now), now)
+            node.pose(odometry(now, car, 8.0 * np.sin(car / 25.0), np.arctan(0.32 * np.cos(car / 25.0)), 5.3, 0.0))
+            commands.append(node.tick(now))
+        ours, theirs = commands
+        assert ours.stopping == theirs.stopping
+        assert ours[:3] == pytest.approx(theirs[:3], abs=1e-9)
+    assert ours.stopping == follower.NO_PLANNER
+
+
 def drive_obediently(node, message, seconds=14.0, lag=0.3):
     """Places (m) and angles (rad) of a car that obeys from 20 m on; the path is published every half second."""
     x, speed, rows = 20.0, 5.0, []

@@ -16,6 +16,7 @@ struct Time {
     std::int32_t sec = 0;
     std::uint32_t nanosec = 0;
 };
+using Duration = Time;
 } // namespace builtin_interfaces::msg
 
 namespace std_msgs::msg {
@@ -96,8 +97,9 @@ struct Path {
 
 namespace autoware_planning_msgs::msg {
 struct TrajectoryPoint {
+    builtin_interfaces::msg::Duration time_from_start;
     geometry_msgs::msg::Pose pose;
-    float longitudinal_velocity_mps = 0.0F;
+    float longitudinal_velocity_mps = 0.0F, acceleration_mps2 = 0.0F;
 };
 struct Trajectory {
     using ConstSharedPtr = std::shared_ptr<const Trajectory>;

@@ -55,11 +55,11 @@ struct Handle {
 extern "C" {
 
 // limits: top_speed, acceleration, stop_deceleration, longest_silence, furthest, base_ahead, stop_at_end
-Handle *ros_make(const double *limits, const char *pose, const char *motion, const void *constants, std::size_t size, char *why, std::size_t why_size) {
+Handle *ros_make(const double *limits, const char *pose, const char *motion, const char *follow, const void *constants, std::size_t size, char *why, std::size_t why_size) {
     adaptrack_ros::Parameters p;
     p.top_speed = limits[0], p.acceleration = limits[1], p.stop_deceleration = limits[2];
     p.longest_silence = limits[3], p.furthest = limits[4], p.base_ahead = limits[5], p.stop_at_end = limits[6] > 0.5;
-    p.pose_message = pose, p.motion_message = motion;
+    p.pose_message = pose, p.motion_message = motion, p.follow = follow;
     if (constants == nullptr) constants = adaptrack_constants, size = ADAPTRACK_CONSTANTS_SIZE;
     try {
         return new Handle{{p, constants, size}, {}, {}};
@@ -109,6 +109,27 @@ void ros_trajectory(Handle *made, const double *rows, std::size_t count, const c
     adaptrack_ros::speeds_of_trajectory(message, made->speeds);
     made->follower.path(made->points, made->speeds, frame);
 }
+#if ADAPTRACK_PLANNER
+// rows: t, x, y, the quaternion's z, w, speed, acceleration; of a nav_msgs/Path the first five
+void ros_planned(Handle *made, const double *rows, std::size_t count, double stamp, double now, int is_path,
+                 const char *frame) {
+    autoware_planning_msgs::msg::Trajectory message;
+    nav_msgs::msg::Path path;
+    std::vector<adaptrack_point> points;
+    message.header.stamp = path.header.stamp = stamp_of(stamp);
+    for (std::size_t k = 0; k < count; k++, rows += 7) {
+        message.points.emplace_back();
+        path.poses.emplace_back();
+        auto &point = message.points.back();
+        point.time_from_start = stamp_of(rows[0]), path.poses.back().header.stamp = stamp_of(stamp + rows[0]);
+        point.pose = {{rows[1], rows[2], 0.0}, {0.0, 0.0, rows[3], rows[4]}}, path.poses.back().pose = point.pose;
+        point.longitudinal_velocity_mps = static_cast<float>(rows[5]);
+        point.acceleration_mps2 = static_cast<float>(rows[6]);
+    }
+    stamp = is_path ? adaptrack_ros::trajectory_of_path(path, points) : adaptrack_ros::trajectory_of(message, points);
+    made->follower.trajectory(points, stamp, now, frame);
+}
+#endif
 void ros_engage(Handle *made, int on, double angle) { made->follower.engage(on != 0, angle); }
 
 // command: angle, its rate, speed, request. times: ns, stamp and control time of the message and its two parts.

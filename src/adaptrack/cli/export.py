@@ -99,6 +99,7 @@ def export_c(
     computation: float = option(
         "S", "Time from calling the library until it returns the command (s).", 0.0, min=0.0, max=1.0
     ),
+    planner: bool = flag("Follow a planner's trajectories too: their times, replans, silence and fallback."),
     room: tuple[int, int] | None = option(
         "NP NC", "Largest horizons of constants that the library may load later.", hidden=True
     ),
@@ -123,8 +124,9 @@ def export_c(
     checked = exported.route.look(exported.road, car, world)
     with show.progress("record a drive"):
         files = at.export_c(
-            controller, out, road=checked.road, plan=checked.plan, plant=plant, profile=world, room=room, speed=speed
-        )
+            controller, out, road=checked.road, plan=checked.plan, plant=plant, profile=world, room=room, speed=speed,
+            following=at.Following() if planner else None,
+        )  # fmt: skip
     if as_json:
         show.say_json({**asdict(files), "folder": str(files.folder), "backups": list(map(str, files.backups))})
         return

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.kernel import OK
@@ -62,6 +63,32 @@ class DrivenBy(StrEnum):
 
 
 VERDICTS, DRIVERS = tuple(Verdict), tuple(DrivenBy)
+WHO_DRIVES = (
+    ("trajectories come", "any", DrivenBy.PLANNER, "as the trajectory does"),
+    ("silence", "valid", DrivenBy.FALLBACK, "at rest at the end of the fallback, and stays there"),
+    ("silence", "stale, unfit, none", DrivenBy.STOP, "comfort stop along the last trajectory, and stays there"),
+    ("one or two return", "as before", DrivenBy.FALLBACK, "as before; likewise where nobody drives"),
+    ("a third in a row", "any", DrivenBy.PLANNER, "as the trajectory does"),
+    ("a driver's pedals", "as before", DrivenBy.PLANNER, "the requests follow the driver; the rows above go on"),
+    ("a path", "any", DrivenBy.NOBODY, "as the path does"),
+)
+"""What happens, the fallback then, who drives, and how that ends."""
+
+
+CarPoint = Literal["centre of mass", "rear axle", "front axle"]
+"""A point of the car whose places are given."""
+
+
+def arm_of(name: str, point: str, car: Vehicle | None) -> float:
+    """Distance (m) from the centre of mass forwards to a point of a car; raises `InvalidInput` for an unknown car."""
+    if point == "centre of mass":
+        return 0.0
+    if car is None:
+        raise InvalidInput(
+            f"{name} = {point!r}: the controller has no car whose axles are known; use a controller with "
+            "a car, or give the centre of mass."
+        )
+    return -car.lr if point == "rear axle" else car.lf
 
 
 class Following(RecordSettings, record=records.PLANNED_SETTINGS):
@@ -71,7 +98,7 @@ class Following(RecordSettings, record=records.PLANNED_SETTINGS):
     lateness, and those of stops without a fallback.
     """
 
-    tracked_point: Literal["centre of mass", "rear axle", "front axle"] = "centre of mass"
+    tracked_point: CarPoint = "centre of mass"
     comfort: Comfort = DEFAULT_COMFORT
 
 
@@ -99,15 +126,10 @@ class PlannerFollower:
     """Converter of trajectories for a tracker, with the newest trajectory and the fallback."""
 
     def __init__(self, following: Following, controller: Controller) -> None:
-        self.following, car = following, controller.vehicle
-        arms = {"centre of mass": 0.0} if car is None else {
-            "centre of mass": 0.0, "rear axle": -car.lr, "front axle": car.lf
-        }  # fmt: skip
-        if following.tracked_point not in arms:
-            raise InvalidInput("Following: tracked_point: the controller knows no car, and so not where its axles are.")
+        self.following, arm = following, arm_of("tracked_point", following.tracked_point, controller.vehicle)
         settings = records.PLANNED_SETTINGS.new(1)
         settings[0] = following.row
-        settings["tracked_arm"], settings["position_noise"] = arms[following.tracked_point], controller.position_noise
+        settings["tracked_arm"], settings["position_noise"] = arm, controller.position_noise
         settings["period"] = controller.period
         memory, speeds = records.PLANNED_MEMORY.new(1), records.PlannedSpeeds(*(np.zeros(0),) * 4)
         self.planned = records.Planned(settings, memory, speeds, np.zeros((0, 3)), np.zeros(2 * FAR_PLACES))

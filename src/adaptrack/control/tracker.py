@@ -30,7 +30,16 @@ from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
-from adaptrack.control.following import DRIVERS, DrivenBy, FollowedPlan, Following, PlannerFollower, Verdict
+from adaptrack.control.following import (
+    DRIVERS,
+    CarPoint,
+    DrivenBy,
+    FollowedPlan,
+    Following,
+    PlannerFollower,
+    Verdict,
+    arm_of,
+)
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
@@ -151,6 +160,8 @@ class Tracker:
         decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
     following : Following, optional
         Settings for following the trajectories of a planner.
+    sample_point : str
+        Point of the car whose x and y samples have: "centre of mass", "rear axle" or "front axle".
     furthest : float
         From the path, beyond which the status says so.
     record : path, optional
@@ -174,6 +185,7 @@ class Tracker:
         plan: SpeedPlan | None = None,
         speed: SpeedControl | None = None,
         following: Following | None = None,
+        sample_point: CarPoint = "centre of mass",
         furthest: Annotated[Bound, "m"] = 10.0,
         record: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -204,7 +216,9 @@ class Tracker:
             self._speed.estimate_friction(controller)
         self._check = input_check_of(controller)
         planned = None if self._planner is None else self._planner.planned
-        self._load(tracker_of(controller, path, plan, furthest, self._check, planned))
+        kernel = tracker_of(controller, path, plan, furthest, self._check, planned)
+        kernel.settings["sample_arm"] = arm_of("sample_point", sample_point, controller.vehicle)
+        self._load(kernel)
         self._recorder = None if record is None else Recorder(record)
         if self._recorder is not None:
             weakref.finalize(self, self._recorder.close)
@@ -647,12 +661,12 @@ def packed_plan(plan: SpeedPlan | FollowedPlan | None) -> Any:
 
 def tracking_of(
     controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, part: Any = None,
-    longitudinal: Any = None,
+    longitudinal: Any = None, planned: Any = None,
 ) -> Any:  # fmt: skip
     """A tracker with a compiled controller at its start, engaged (`core.tracker.step.Tracking`).
 
     part: the controller as a part of loops, by default a fresh one; longitudinal: the speed control behind the tracker
-    (`core.tracker.longitudinal.Longitudinal`), None: none. The controller stays as it is.
+    (`core.tracker.longitudinal.Longitudinal`), None: none; planned: as in `tracker_of`. The controller stays as it is.
 
     Raises
     ------
@@ -662,7 +676,7 @@ def tracking_of(
     scheduler = controller.scheduler
     if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
         raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
-    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller))
+    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller), planned)
     tracker_engage(0.0, math.nan, tracker)
     part = controller.part(1) if part is None else part
     if scheduler is not None:

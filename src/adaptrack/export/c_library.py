@@ -20,13 +20,17 @@ from adaptrack.base.errors import StorageError
 from adaptrack.base.files import keep_replaced, write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
+from adaptrack.control.following import DRIVERS, VERDICTS, WHO_DRIVES, Following
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.core import library
 from adaptrack.core.input_check.hypotheses import MISTAKES
 from adaptrack.core.kernel import Field, fields_of
+from adaptrack.core.planned import condition
+from adaptrack.core.planned.records import GIVEN, NODE
 from adaptrack.core.roads import path, road
 from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
+from adaptrack.core.tracker import planner
 from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 from adaptrack.export.memory import CMemory, kernels_number
@@ -48,6 +52,10 @@ PREPARE_MPC = "mpc_prepare"
 """Kernel that it calls for an MPC."""
 SPEED_CALLED = ("longitudinal_begin", "longitudinal_follow", "longitudinal_release", "longitudinal_acknowledge",
                 "speed_path_words", "write_speed_path", "horizon_cells")  # fmt: skip
+PLANNER_CALLED = "take_trajectory", "begin_trajectory", "watch_planner", "leave_planner", "condition"
+"""Kernels that it calls for a planner's trajectories."""
+TRAJECTORY_POINTS, KEPT_POINTS, TRAJECTORY_LENGTH = 256, 256, 1000.0
+"""Points of a trajectory, and of the line before, at most; m, of it about."""
 CONSTANTS_FILE = "constants.bin"
 MAX_C_POINTS = 100_000
 """Of a path or a plan."""
@@ -92,6 +100,7 @@ def export_c(
     furthest: float = 10.0,
     room: tuple[int, int] | None = None,
     speed: SpeedControl | None = None,
+    following: Following | None = None,
 ) -> CExport:
     """Write the C sources of a controller with its tracker, its constants, and a recorded minute that shows that the
     compiled library drives as the controller does here.
@@ -112,8 +121,10 @@ def export_c(
     room : (int, int), optional
         Of an MPC: the largest Np and Nc that constants which are loaded later may have; by default its own.
     speed : SpeedControl, optional
-        Speed control behind the tracker. Its comfort is that of the plan. It follows plans up to the highest speed of
-        the plan or of the car's domain, the larger of the two.
+        Speed control behind the tracker. Its comfort is that of `following`, or else of the plan. It follows plans up
+        to the highest speed of the plan or of the car's domain, the larger of the two.
+    following : Following, optional
+        How a planner's trajectories are followed; without it the library follows paths alone.
 
     Raises
     ------
@@ -127,7 +138,9 @@ def export_c(
     way = load_road(road) if isinstance(road, str) else road
     speed_plan = plan_speed(way, controller.vehicle) if plan is None else plan
     part = None if speed is None else speed_part(speed, controller, speed_plan, speed.car.domain.speed[1])
-    memory = tracking_memory(controller, room, furthest, part)
+    if part is not None and following is not None:
+        part = part._replace(start=part.start._replace(comfort=following.comfort))
+    memory = tracking_memory(controller, room, furthest, part, following)
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
     recorded = record_drive(controller, driven_car, way, speed_plan, world, furthest=furthest, speed=part)
     texts = _texts(controller, memory, recorded, part)
@@ -150,10 +163,12 @@ def _texts(controller: Controller, memory: CMemory, recorded: Recorded, speed: S
         "CONSTANTS_SIZE": f"{len(memory.content):,}", "SIZE": f"{memory.size:,}",
         "STATE_SIZE": f"{memory.state_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
+        "WHO_DRIVES": _who_drives(), "POINT": _members(fields_of(GIVEN), "double"),
         "EXACT": " ".join(EXACT_OPTIONS), "ERROR_NAMES": _error_names(), **signal_texts(),
     }  # fmt: skip
     prepare = (PREPARE_MPC,) if controller.has_horizons else ()
-    called = (*CALLED, *(SPEED_CALLED if speed else ()), *prepare, *memory.functions)
+    follows = PLANNER_CALLED if memory.record.tracker.planned.settings.size else ()
+    called = (*CALLED, *(SPEED_CALLED if speed else ()), *follows, *prepare, *memory.functions)
     texts = {f"src/{name}": text for name, text in kernel_sources(called).items()}
     for folder, names in FOLDERS.items():
         for name in names:
@@ -170,6 +185,12 @@ def _actions() -> str:
     """The table of the header: actions of the speed control by status."""
     rows = {"status": ("with a position", "without one")} | SPEED_ACTIONS
     return "\n".join(f"   {status:<12}{located:<16}{blind}" for status, (located, blind) in rows.items())
+
+
+def _who_drives() -> str:
+    """The table of the header: who drives when a planner falls silent."""
+    rows = (("what happens", "fallback", "driven_by", "how it ends"), *WHO_DRIVES)
+    return "\n".join(f"   {event:<19}{fallback:<20}{driver:<11}{end}" for event, fallback, driver, end in rows)
 
 
 def _error_names() -> str:
@@ -205,7 +226,7 @@ def _config(controller: Controller, memory: CMemory, speed: SpeedPart | None) ->
 
 /* Bits of adaptrack_answer.suspect: what an input seems to be. */
 {suspects}
-{_speed_config(speed)}
+{_speed_config(speed)}{_planner_config(memory)}
 #ifdef __cplusplus
 extern "C" {{
 #endif
@@ -243,6 +264,32 @@ typedef enum {{
 """
 
 
+def _planner_config(memory: CMemory) -> str:
+    """Verdicts, drivers and sizes for a planner's trajectories; nothing without one."""
+    if not memory.record.tracker.planned.settings.size:
+        return ""
+    verdicts = ",\n".join(f"    ADAPTRACK_VERDICT_{verdict.name} = {i}" for i, verdict in enumerate(VERDICTS))
+    drivers = ", ".join(f"ADAPTRACK_DRIVEN_BY_{driver.name} = {i}" for i, driver in enumerate(DRIVERS))
+    words = 64 + len(GIVEN) * TRAJECTORY_POINTS + 2 * sum(_trajectory_words(memory))
+    return f"""
+#define ADAPTRACK_PLANNER 1
+#define ADAPTRACK_TRAJECTORY_POINTS {TRAJECTORY_POINTS} /* at most */
+#define ADAPTRACK_PLANNER_SIZE {8 * words} /* bytes of the memory for trajectories */
+enum {{ {drivers} }};
+/* What becomes of a trajectory. */
+typedef enum {{
+{verdicts}
+}} adaptrack_verdict;
+"""
+
+
+def _trajectory_words(memory: CMemory) -> tuple[int, int]:
+    """Words for a trajectory, and for its plan with a speed control."""
+    words = planner.trajectory_words(TRAJECTORY_POINTS, KEPT_POINTS, TRAJECTORY_LENGTH)
+    has_speed = bool(memory.record.longitudinal.ahead.size)
+    return words, 8 + speed_path_words(TRAJECTORY_LENGTH + 100.0, 0, TRAJECTORY_POINTS + 2) if has_speed else 0
+
+
 def _printable(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /")
 
@@ -252,7 +299,8 @@ def _layout_header(memory: CMemory) -> str:
     record = memory.record
     has_speed = bool(record.longitudinal.ahead.size)
     numbers: dict[str, object] = {
-        "ROAD_LENGTH": road.LENGTH, "ROAD_SPACING": road.HEADING_SPACING, "ROAD_NUMBERS": len(road.LINE_NUMBERS),
+        "ROAD_LENGTH": road.LENGTH, "ROAD_SPACING": road.HEADING_SPACING, "ROAD_COUNT": road.COUNT,
+        "ROAD_NUMBERS": len(road.LINE_NUMBERS),
         "PIECE_COLUMNS": road.PIECE_COLUMNS, "PATH_TOO_SMALL": path.TOO_SMALL,
         "PLAN_SPACING": f"{PLACE_SPACING!r} /* m */",
         "PLANS": record.controller.plans, "LEARNS": int(record.controller.mpc.informed.fresh.size > 0),
@@ -261,6 +309,15 @@ def _layout_header(memory: CMemory) -> str:
     if has_speed:
         cells = record.longitudinal.ahead.size
         numbers |= {"LONGITUDINAL_CELLS": cells, "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL}
+    if record.tracker.planned.settings.size:
+        words, plan_words = _trajectory_words(memory)
+        numbers |= {
+            "TRAJECTORY_WORDS": words, "TRAJECTORY_PLAN_WORDS": plan_words - 8, "KEPT_POINTS": KEPT_POINTS,
+            "FAR_NUMBERS": record.tracker.planned.far.size, "NODE_COLUMNS": len(NODE),
+            "NODE_LEAVE": NODE.leave, "PARTS": len(planner.PARTS),
+            "REVERSE_AHEAD": condition.REVERSE_AHEAD, "LINE_TOO_SMALL": planner.LINE_FLAW + path.TOO_SMALL,
+            **{f"PART_{name.upper()}": place for place, name in enumerate(planner.PARTS._fields)},
+        }  # fmt: skip
     lines = [f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()]
     return "\n".join(
         [

@@ -13,6 +13,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.control.controllers.mpc import CompiledScheduler
+from adaptrack.control.following import Following, PlannerFollower
 from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
 from adaptrack.control.tracker import tracking_of
 from adaptrack.core.controllers import lqr, pure_pursuit, stanley
@@ -32,7 +33,7 @@ ROLES = ArrayRoles(
         "tracker.settings", "tracker.check.settings", "controller.first_tuning", "controller.law.parameters",
         "controller.mpc.informed.fresh", "controller.mpc.informed.learner", "controller.mpc.states",
         "controller.schedule.integers", "controller.schedule.numbers", "controller.schedule.settings",
-        "longitudinal.friction.car", "longitudinal.friction.variances",
+        "longitudinal.friction.car", "longitudinal.friction.variances", "tracker.planned.settings",
     ),
     renewed={
         "controller.tuning": "controller.first_tuning",
@@ -40,7 +41,7 @@ ROLES = ArrayRoles(
             "controller.mpc.feed.turning", "controller.mpc.informed.estimator", "controller.mpc.parameters",
         )},
     },
-    outside=("tracker.path", "tracker.plan", "longitudinal.path"),
+    outside=("tracker.path", "tracker.plan", "longitudinal.path", "tracker.planned.speeds", "tracker.planned.points"),
     unknown=("controller.schedule.numbers",),
 )  # fmt: skip
 """Of `Tracking`. What an MPC and a tracker write before the first step is no constant: the C program lets them."""
@@ -128,12 +129,14 @@ def room_of(controller: Any, room: tuple[int, int] | None = None) -> Room:
 
 
 def tracking_memory(
-    controller: Any, room: tuple[int, int] | None = None, furthest: float = 10.0, speed: SpeedPart | None = None
-) -> CMemory:
+    controller: Any, room: tuple[int, int] | None = None, furthest: float = 10.0, speed: SpeedPart | None = None,
+    following: Following | None = None,
+) -> CMemory:  # fmt: skip
     """The memory of a controller behind a tracker, with what it has learned so far; the controller stays as it is.
 
     room: of an MPC the largest Np and Nc that constants which are loaded later may have; furthest: m, from the path;
     speed: the speed control behind the tracker. It learns drive, brakes and friction from `adaptrack_init` on.
+    following: how a planner is followed; None: it is not.
 
     Raises
     ------
@@ -146,20 +149,21 @@ def tracking_memory(
     if speed is not None:
         no_path = SpeedPath(*(np.zeros(0) for _ in range(6)), 0.0, 0.0, 0)
         longitudinal = longitudinal_of(speed.control, controller.period, speed.start, no_path, controller)
-    record = small_record_of(controller, none, None, furthest, room, longitudinal)
+    planned = None if following is None else PlannerFollower(following, controller).planned
+    record = small_record_of(controller, none, None, furthest, room, longitudinal, planned)
     return CMemory(record, ROLES, _views(record))
 
 
 def small_record_of(
     controller: Any, road: Road, plan: SpeedPlan | None = None, furthest: float = 10.0,
-    room: tuple[int, int] | None = None, longitudinal: Any = None,
+    room: tuple[int, int] | None = None, longitudinal: Any = None, planned: Any = None,
 ) -> Any:  # fmt: skip
     """A tracker with a controller at its start, with what that has learned so far; see `tracking_of`.
 
     An MPC has memory for no longer horizons than it needs (`room_of`).
     """
     part = controller.part_with_learned(room_of(controller, room))
-    return tracking_of(controller, road, plan, furthest, part, longitudinal)
+    return tracking_of(controller, road, plan, furthest, part, longitudinal, planned)
 
 
 class Twin:

@@ -16,7 +16,8 @@ from adaptrack_ros.follower import Follower, Parameters
 def export(parameters: Parameters, folder: str | Path) -> Any:
     """Write it. The node itself reads the parameters that the export does not use.
 
-    These are `vehicle`, `profile`, `command_delay`, `oldest_sample`, `furthest`, `speed_control` and `acceleration`.
+    These are `vehicle`, `profile`, `command_delay`, `oldest_sample`, `furthest`, `speed_control`, `acceleration`,
+    `follow` and, for trajectories, `top_speed`.
 
     Raises
     ------
@@ -29,6 +30,7 @@ def export(parameters: Parameters, folder: str | Path) -> Any:
     return at.export_c(
         follower.controller(), folder, profile=follower.profile, furthest=parameters.furthest, road=road,
         plan=at.plan_speed(road, follower.car, follower.comfort), speed=follower.speed_control(),
+        following=follower.following,
     )  # fmt: skip
 
 

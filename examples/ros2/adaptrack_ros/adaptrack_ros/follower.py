@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import adaptrack as at
+from adaptrack.control.following import DrivenBy, Following, Verdict
 from adaptrack.control.tracker import Tracked
 from adaptrack.road import Comfort, SpeedPlan
+from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack_ros.messages import Array, Motion, Sample, frame_of_motion, motion_of, points_of, sample_of, speeds_of
 
 OK, WARN, ERROR = 0, 1, 2
@@ -33,6 +35,9 @@ STOPPING = {
 }
 """Statuses on which the car is stopped, and what the diagnostics say."""
 NO_PATH = "no path yet on topic path"
+NO_PLANNER = "the planner is silent"
+FOLLOW = "path", "trajectory"
+"""What is followed of the messages on the topic `path`."""
 SHORT_STEP = 0.02
 """m, from a predicted point to the next, below which the yaw stays: the car hardly moves."""
 LEAST_ACCELERATION = 0.01
@@ -65,10 +70,13 @@ class Parameters:
     """or autoware_control_msgs/Control, whose acceleration only a speed control requests"""
     path_message: str = "nav_msgs/Path"
     """or autoware_planning_msgs/Trajectory"""
+    follow: str = "path"
+    """or trajectory: the times of its points are followed as well, of a nav_msgs/Path the stamps of its poses"""
     path_latched: bool = False
     """whether the planner publishes with durability transient local"""
     top_speed: float = 10.0
-    """m/s, beside what the bends allow; and beside the speeds of the path, where it has some"""
+    """m/s, beside what the bends allow; and beside the speeds of the path, where it has some; of a trajectory, which
+    states its speeds, when the car is late"""
     stop_at_end: bool = True
     """plan to stand at the end of every path; not where the path has speeds"""
     acceleration: float = 1.5
@@ -88,7 +96,7 @@ class Parameters:
                 raise at.InvalidInput(f"{name} = {getattr(self, name)!r}: must be positive and finite.")
         for name, messages in (
             ("pose_message", tuple(POSE_MESSAGES)), ("drive_message", DRIVE_MESSAGES), ("path_message", PATH_MESSAGES),
-            ("motion_message", ("", *MOTION_MESSAGES)),
+            ("motion_message", ("", *MOTION_MESSAGES)), ("follow", FOLLOW),
         ):  # fmt: skip
             if getattr(self, name) not in messages:
                 names = ", ".join(message or "empty" for message in messages)
@@ -158,6 +166,13 @@ class Follower:
         return at.SpeedControl(self.car, stop_at_end=False) if self.parameters.speed_control else None
 
     @property
+    def following(self) -> Following | None:
+        """How trajectories of the rear axle are followed; None where paths are."""
+        if self.parameters.follow == "path":
+            return None
+        return Following(tracked_point="rear axle", comfort=self.comfort, speed_limit=self.parameters.top_speed)
+
+    @property
     def comfort(self) -> Comfort:
         """Accelerations of a plan."""
         return Comfort(accelerate=self.parameters.acceleration, brake=self.parameters.acceleration)
@@ -217,11 +232,15 @@ class Follower:
         if math.isfinite(motion.speed):
             self._speed, self._newest_speed = motion.speed, motion.t
 
-    def path(self, message: Any) -> None:
+    def path(self, message: Any, now: float | None = None) -> None:
         """A nav_msgs/Path or an autoware_planning_msgs/Trajectory; an empty one stops the car.
 
-        One that cannot be driven is refused, the one before is followed on, and the diagnostics say why.
+        One that cannot be driven is refused, the one before is followed on, and the diagnostics say why. now: s, of
+        its arrival, for a trajectory; None: at the last tick.
         """
+        if self.parameters.follow == "trajectory":
+            self._follow_trajectory(message, now)
+            return
         points, speeds = points_of(message), speeds_of(message)
         self._halted = len(points) == 0
         if self._halted or self._is_known(points, speeds, message.header.frame_id):
@@ -240,6 +259,24 @@ class Follower:
             return
         self._trouble.pop("path", None)
         self._points, self._speeds, self._path_frame = points, speeds, message.header.frame_id
+
+    def _follow_trajectory(self, message: Any, now: float | None) -> None:
+        """Follow a trajectory by its times; an empty one is the silence of its planner."""
+        try:
+            if self._tracker is None:
+                self._tracker = at.Tracker(
+                    self.controller(), speed=self.speed_control(), following=self.following,
+                    furthest=self.parameters.furthest,
+                )  # fmt: skip
+                self._tracker.engage(self._angle)
+            verdict = self._tracker.follow(PlannedTrajectory.from_message(message), now=now)
+        except at.InvalidInput as error:
+            self._trouble["path"] = str(error)
+            return
+        self._path_frame = message.header.frame_id
+        self._trouble.pop("path", None)
+        if verdict not in (Verdict.TAKEN, Verdict.SAME):
+            self._trouble["path"] = f"it is {verdict}"
 
     def engage(self, on: bool, wheel_angle: float = 0.0) -> None:
         """Begin to drive from the angle (rad) that the wheels have, or leave the car to somebody else."""
@@ -280,7 +317,7 @@ class Follower:
         motion, self._fresh_motion = self._fresh_motion, None
         if not self._engaged:
             return None
-        if self._tracker is None:
+        if self._tracker is None or self._tracker.path is None:
             self._command = self._stopped(NO_PATH)
             return self._command
         why = self._why_blind(now)
@@ -297,6 +334,7 @@ class Follower:
         if self._tracked.status is not at.Status.REPEATED:
             self._angle = self._tracked.command
             why = why or STOPPING.get(self._tracked.status, "") or ("the path is empty" if self._halted else "")
+            why = why or (NO_PLANNER if self._tracked.driven_by is DrivenBy.STOP else "")
             self._command = self._stopped(why) if why else self._going()
         return self._command
 
@@ -381,6 +419,9 @@ class Follower:
             "speed (m/s)": f"{command.speed:.2f}",
             "top speed until the car is learned (m/s)": f"{last.first_top_speed:.1f}" if last else "",
         }
+        if self.parameters.follow == "trajectory":
+            values["late (s)"] = f"{last.late:.2f}" if last and math.isfinite(last.late) else ""
+            values["driven by"] = str(last.driven_by) if last else ""
         doubts = last.suspect if last else ()
         if self.parameters.motion_message and self._newest_motion == -math.inf and not command.stopping:
             doubts = (*doubts, "no motion yet on topic motion")

@@ -46,7 +46,7 @@ class FollowerNode(Node):
             self._subscribe(parameters.pose_message, topic, self._follower.pose)
         if parameters.motion_message:
             self._subscribe(parameters.motion_message, "motion", self._follower.motion)
-        self._subscribe(parameters.path_message, "path", self._follower.path, _path_qos(parameters))
+        self._subscribe(parameters.path_message, "path", self._take_path, _path_qos(parameters))
         self._subscribe(DRIVE_MESSAGES[0], "wheel_angle", self._take_angle)
         self.create_subscription(Bool, "engage", self._engage, 1)
         self.create_timer(self._follower.period, self._tick)
@@ -75,6 +75,9 @@ class FollowerNode(Node):
                 self._follower.miss_pose(str(error))
 
         self._look_up = look_up
+
+    def _take_path(self, message: Any) -> None:
+        self._follower.path(message, self._now)
 
     def _take_angle(self, message: Any) -> None:
         self._wheel_angle = message.drive.steering_angle

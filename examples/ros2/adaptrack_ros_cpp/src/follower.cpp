@@ -19,6 +19,10 @@ constexpr double short_step = 0.02; // m, to the next predicted point: below it 
 constexpr double least_acceleration = 0.01; // m/s^2: in an AckermannDrive 0 means as quickly as possible
 #endif
 constexpr const char *no_path = "no path yet on topic path";
+#if ADAPTRACK_PLANNER
+constexpr std::array verdicts{"taken", "same", "older", "stale", "early", "silent", "waiting", "unfit"};
+constexpr std::array drivers{"nobody", "planner", "fallback", "stop"};
+#endif
 constexpr double nowhere = std::numeric_limits<double>::quiet_NaN();
 
 template <class... Arguments>
@@ -52,6 +56,12 @@ void check_messages(const Parameters &p) {
     };
     check("pose_message", p.pose_message, {"nav_msgs/Odometry", "geometry_msgs/PoseStamped", "tf"});
     check("motion_message", p.motion_message, {"", "geometry_msgs/TwistStamped", "nav_msgs/Odometry", "sensor_msgs/Imu"});
+#if ADAPTRACK_PLANNER
+    check("follow", p.follow, {"path", "trajectory"});
+#else
+    if (p.follow == "trajectory") throw std::invalid_argument("follow = 'trajectory': export the controller with it.");
+    check("follow", p.follow, {"path"});
+#endif
     if (p.pose_message != "nav_msgs/Odometry" && (p.motion_message.empty() || p.motion_message == "sensor_msgs/Imu"))
         throw std::invalid_argument("pose_message = '" + p.pose_message + "' has no speed: give motion_message = "
                                     "geometry_msgs/TwistStamped or nav_msgs/Odometry.");
@@ -144,6 +154,32 @@ void Follower::path(const std::vector<double> &points, const std::vector<double>
     speeds_ = speeds;
     path_frame_ = frame;
 }
+
+#if ADAPTRACK_PLANNER
+void Follower::trajectory(const std::vector<adaptrack_point> &points, double stamp, double now,
+                          const std::string &frame) {
+    adaptrack_error error = ADAPTRACK_OK;
+    if (!has_begun_) {
+        planner_.resize(ADAPTRACK_PLANNER_SIZE / 8);
+        error = adaptrack_engage(tracker_.data(), angle_, NAN);
+        if (error == ADAPTRACK_OK) error = adaptrack_planner(tracker_.data(), planner_.data(), ADAPTRACK_PLANNER_SIZE);
+        has_begun_ = error == ADAPTRACK_OK;
+    }
+    const adaptrack_trajectory planned = {points.data(), points.size(), stamp, now, 0};
+    adaptrack_verdict verdict = ADAPTRACK_VERDICT_SILENT;
+    std::size_t flaw = 0;
+    if (error == ADAPTRACK_OK)
+        error = adaptrack_follow_trajectory(tracker_.data(), &planned, nullptr, &verdict, &flaw);
+    if (error != ADAPTRACK_OK) {
+        path_trouble_ = text_of("point %zu: %s", flaw, adaptrack_error_name(error));
+        return;
+    }
+    const bool is_good = verdict == ADAPTRACK_VERDICT_TAKEN || verdict == ADAPTRACK_VERDICT_SAME;
+    path_trouble_ = is_good ? "" : text_of("it is %s", verdicts.at(static_cast<std::size_t>(verdict)));
+    has_path_ = has_path_ || verdict == ADAPTRACK_VERDICT_TAKEN;
+    path_frame_ = frame;
+}
+#endif
 
 void Follower::engage(bool on, double wheel_angle) {
     engaged_ = on;
@@ -306,6 +342,9 @@ std::string Follower::why_stopped() const {
     if (answer_->status == ADAPTRACK_STATUS_OFF_PATH || std::abs(answer_->offset) > parameters.furthest)
         return "the car is too far from the path";
     if (answer_->status == ADAPTRACK_STATUS_END) return "the car is beyond the end of the path";
+#if ADAPTRACK_PLANNER
+    if (answer_->driven_by == ADAPTRACK_DRIVEN_BY_STOP) return "the planner is silent";
+#endif
     return halted_ ? "the path is empty" : "";
 }
 
@@ -354,7 +393,11 @@ void Follower::go() {
     command(answer_->target_speed, answer_->hold > 0.0 ? parameters.acceleration : rate,
             stands ? -parameters.acceleration : answer_->acceleration, {});
 #else
-    command(target_speed(answer_->station), parameters.acceleration, NAN, {});
+    double speed = parameters.follow == "path" ? target_speed(answer_->station) : 0.0;
+#if ADAPTRACK_PLANNER
+    if (std::isfinite(answer_->target_speed)) speed = answer_->target_speed;
+#endif
+    command(speed, parameters.acceleration, NAN, {});
 #endif
 }
 
@@ -389,6 +432,13 @@ Diagnosis Follower::diagnosis(double now) const {
         {"speed (m/s)", text_of("%.2f", command_.speed)},
         {"top speed until the car is learned (m/s)", number("%.1f", answer_ ? answer_->first_top_speed : 0.0)},
     };
+#if ADAPTRACK_PLANNER
+    if (parameters.follow == "trajectory") {
+        const bool is_timed = answer_ && std::isfinite(answer_->late);
+        found.values.emplace_back("late (s)", is_timed ? text_of("%.2f", answer_->late) : std::string());
+        found.values.emplace_back("driven by", answer_ ? drivers.at(static_cast<std::size_t>(answer_->driven_by)) : "");
+    }
+#endif
     std::vector<std::string> troubles;
     if (!pose_trouble_.empty()) troubles.push_back("pose left out: " + pose_trouble_);
     if (!motion_trouble_.empty()) troubles.push_back("motion left out: " + motion_trouble_);

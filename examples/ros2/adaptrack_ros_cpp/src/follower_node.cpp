@@ -45,6 +45,7 @@ Parameters declared(rclcpp::Node &node) {
     Parameters p;
     p.pose_message = node.declare_parameter("pose_message", p.pose_message);
     p.motion_message = node.declare_parameter("motion_message", p.motion_message);
+    p.follow = node.declare_parameter("follow", p.follow);
     p.base_frame = node.declare_parameter("base_frame", p.base_frame);
     p.base_ahead = node.declare_parameter("base_ahead", p.base_ahead);
     p.top_speed = node.declare_parameter("top_speed", p.top_speed);
@@ -178,6 +179,12 @@ class FollowerNode : public rclcpp::Node {
         if (latched) qos.transient_local();
         if (kind == "nav_msgs/Path") {
             path_ = create_subscription<Path>("path", qos, [this](const Path::ConstSharedPtr &message) {
+#if ADAPTRACK_PLANNER
+                if (follower_->parameters.follow == "trajectory") {
+                    const double stamp = trajectory_of_path(*message, planned_);
+                    return follower_->trajectory(planned_, stamp, seconds_now(), message->header.frame_id);
+                }
+#endif
                 points_of(message->poses, points_);
                 speeds_of_path(*message, speeds_);
                 follower_->path(points_, speeds_, message->header.frame_id);
@@ -188,6 +195,12 @@ class FollowerNode : public rclcpp::Node {
         using autoware_planning_msgs::msg::Trajectory;
         if (kind == "autoware_planning_msgs/Trajectory") {
             path_ = create_subscription<Trajectory>("path", qos, [this](const Trajectory::ConstSharedPtr &message) {
+#if ADAPTRACK_PLANNER
+                if (follower_->parameters.follow == "trajectory") {
+                    const double stamp = trajectory_of(*message, planned_);
+                    return follower_->trajectory(planned_, stamp, seconds_now(), message->header.frame_id);
+                }
+#endif
                 points_of(message->points, points_);
                 speeds_of_trajectory(*message, speeds_);
                 follower_->path(points_, speeds_, message->header.frame_id);
@@ -224,6 +237,9 @@ class FollowerNode : public rclcpp::Node {
     std::unique_ptr<Follower> follower_;
     double angle_ = 0.0;
     std::vector<double> points_, speeds_;
+#if ADAPTRACK_PLANNER
+    std::vector<adaptrack_point> planned_;
+#endif
     std::function<void(const Command &)> send_;
     Path predicted_path_;
     rclcpp::Publisher<Path>::SharedPtr predicted_;

@@ -111,6 +111,18 @@ def _solve(equations):
 
 
 @inlined
+def _largest(values):
+    """The largest of numbers that are at least 0, four at a time: a chain of comparisons would wait for each."""
+    a = b = c = d = 0.0
+    whole_fours = values.size - values.size % 4
+    for k in range(0, whole_fours, 4):
+        a, b, c, d = max(a, values[k]), max(b, values[k + 1]), max(c, values[k + 2]), max(d, values[k + 3])
+    for k in range(whole_fours, values.size):
+        a = max(a, values[k])
+    return max(max(a, b), max(c, d))
+
+
+@inlined
 def smooth_points(points, closed, noise, memory):
     """Smooth points (n, columns) of x, y (m) with some noise (m). memory: 13 numbers for each point."""
     count, factors = len(points), _four()
@@ -122,15 +134,19 @@ def smooth_points(points, closed, noise, memory):
     for fit in range(ROUNDS):
         equations[:] = 0.0
         equations[:, 0] = 1.0
-        for k in range(rows):
+        sharpness[:] = 0.0
+        for k in range(rows if fit > 0 else 0):
             _, dx, dy = _difference(points, k, factors)
-            sharpness[k] = 6.0 * hypot(dx, dy) if fit > 0 else 0.0
+            sharpness[k] = 6.0 * hypot(dx, dy)
         for k in range(rows):
             step, dx, dy = _difference(points, k, factors)
             near, sharpest = math.pi * radius[k], MIN_THIRD_DERIVATIVE
             reach = whole(near / step) if near < rows * step else rows
-            for other in range(k - reach, k + reach + 1):
-                sharpest = max(sharpest, sharpness[other % rows]) if closed or 0 <= other < rows else sharpest
+            if closed:
+                for other in range(k - reach, k + reach + 1):
+                    sharpest = max(sharpest, sharpness[other % rows])
+            else:
+                sharpest = max(sharpest, _largest(sharpness[max(k - reach, 0) : min(k + reach + 1, rows)]))
             spread = noise * sqrt(step)
             amplitude, share = sqrt(AMPLITUDE * spread) / sharpest, spread / (sqrt(18.0) * SHARE * sharpest)
             radius[k] = min(max(power(amplitude, 1.0 / 3.0), power(share, 2.0 / 7.0)), MAX_RADIUS * step)

@@ -413,34 +413,42 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
     b, d = cosine * bend_x + sine * bend_y, cosine * bend_y - sine * bend_x
     c, e = cosine * x3 + sine * y3, cosine * y3 - sine * x3
     along, across, turned, curvature = _at_places(), _at_places(), _at_places(), _at_places()
+    ahead, aside = _at_places(), _at_places()
     for k in range(_COUNT):
         u = z[k] - m
         along[k], across[k] = u * (a + u * (b + u * c)), u * u * (d + u * e)
-        ahead, aside = a + u * (2.0 * b + 3.0 * u * c), u * (2.0 * d + 3.0 * u * e)
-        if not ahead > 0.0:
+        ahead[k], aside[k] = a + u * (2.0 * b + 3.0 * u * c), u * (2.0 * d + 3.0 * u * e)
+    for k in range(_COUNT):
+        if not ahead[k] > 0.0:
             return False
-        turned[k] = arctangent_of_ratio(aside, ahead)
+    for k in range(_COUNT):  # loops without a way out, which compilers turn into vector operations
+        turned[k] = arctangent_of_ratio(aside[k], ahead[k])
+    for k in range(_COUNT):
+        u, square = z[k] - m, ahead[k] * ahead[k] + aside[k] * aside[k]
+        across_change = ahead[k] * (2.0 * d + 6.0 * u * e) - aside[k] * (2.0 * b + 6.0 * u * c)
+        curvature[k] = across_change / (square * sqrt(square))
+    for k in range(_COUNT):
         if not abs(turned[k]) <= TURN:
             return False
-        square = ahead * ahead + aside * aside
-        curvature[k] = (ahead * (2.0 * d + 6.0 * u * e) - aside * (2.0 * b + 6.0 * u * c)) / (square * sqrt(square))
     _interpolate(along, piece[road.ALONG_COEFFICIENTS : road.ACROSS_COEFFICIENTS])
     _interpolate(across, piece[road.ACROSS_COEFFICIENTS : road.TURN_COEFFICIENTS])
     _interpolate(turned, piece[road.TURN_COEFFICIENTS : road.PIECE_COLUMNS])
     piece[road.ALONG_COEFFICIENTS] = 0.0  # the frame is at the middle
     piece[road.ACROSS_COEFFICIENTS] = 0.0
     piece[road.TURN_COEFFICIENTS] = 0.0
+    missed, bent_off = _at_places(), _at_places()
     for k in range(NODES, _COUNT):
         u = _PLACES[k]
         off_x = _value(piece[road.ALONG_COEFFICIENTS : road.ACROSS_COEFFICIENTS], u) - along[k]
         off_y = _value(piece[road.ACROSS_COEFFICIENTS : road.TURN_COEFFICIENTS], u) - across[k]
-        if not off_x * off_x + off_y * off_y <= (FIT * reach) * (FIT * reach):
-            return False
+        missed[k] = off_x * off_x + off_y * off_y
         bent = 0.0
         for j in range(road.POLYNOMIAL_DEGREE, 0, -1):
             bent = bent * u + j * piece[road.TURN_COEFFICIENTS + j]
+        bent_off[k] = abs(bent / half - curvature[k])
+    for k in range(NODES, _COUNT):
         allowed = CURVATURE_FIT * (abs(curvature[k]) + 0.1) + PIECE_ROUNDING / (2.0 * half)
-        if not abs(bent / half - curvature[k]) <= allowed:
+        if not (missed[k] <= (FIT * reach) * (FIT * reach) and bent_off[k] <= allowed):
             return False
     piece[road.HALF_LENGTH], piece[road.COS], piece[road.SIN] = half, cosine, sine
     piece[road.HEADING] = atan2(sine, cosine)

@@ -39,6 +39,7 @@ TRACKER_SETTINGS = record(
         PERIOD_FIELD,
         *ANGLE_LIMITS,  # of the controller's command
         "move",  # rad, by which a command goes back at a call while the car turns against its steering
+        "sample_arm",  # m, from the centre of mass forwards to the point of the car whose x and y a sample has
         "furthest",  # m, from the path, beyond which the car is off it
         "late",  # periods that the controller's filter goes through anew; 0: it takes nothing late
         "filtered",  # 1: the controller has a Kalman filter for what is missing, 0: it is given an estimate

@@ -12,6 +12,7 @@ from ..kernel import Place, copier, exported, float64, inlined, int64, local, vo
 from ..maths.bits import whole
 from ..maths.exact import floor
 from ..maths.exponential import hypot
+from ..maths.trigonometric import cos, sin
 from ..planned.clock import forget_planner
 from . import pose, records, signals
 from .records import LONGEST_GAP, REQUEST, STANDSTILL_SPEED, TrackerRecord
@@ -48,6 +49,8 @@ def tracker_take(tracker):
     m.due, m.first, m.answered = 0, 0, 0
     tracker.request[REQUEST.late] = math.nan
     _leave_out_absurd(sample)
+    if tracker.settings[0].sample_arm != 0.0:
+        _move_to_centre_of_mass(tracker.settings[0].sample_arm, call)
     at = call.now if math.isfinite(call.now) else call.t
     m.rejection = _rejection(m, at)
     if m.rejection > 0:
@@ -73,6 +76,12 @@ def _leave_out_absurd(sample):
     for i in range(len(TRACKER_SAMPLE)):
         if abs(sample[i]) >= signals.SAMPLE_LIMITS[i]:
             sample[i] = math.nan
+
+
+@inlined
+def _move_to_centre_of_mass(arm, call):
+    """Replace the position (m) of a point that lies so far (m) ahead of the centre of mass by that of the latter."""
+    call.x, call.y = call.x - arm * cos(call.yaw), call.y - arm * sin(call.yaw)
 
 
 @inlined

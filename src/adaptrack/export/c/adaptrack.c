@@ -24,6 +24,18 @@ extern void adaptrack_write_speed_path(struct speed_path_PlanArrays *, double *m
                                        adaptrack_word answers[2]);
 extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
 #endif
+#if ADAPTRACK_PLANNER
+typedef struct planned_records_Planned planned_part;
+extern void adaptrack_take_trajectory(const double *points, int64_t count, int64_t seven,
+                                      struct tracker_planner_Arrival *, double friction,
+                                      struct tracker_records_TrackerRecord *, double *memory, int64_t size,
+                                      int64_t *parts, int64_t part_count, adaptrack_word answers[3]);
+extern void adaptrack_begin_trajectory(struct tracker_planner_Arrival *, struct tracker_records_TrackerRecord *);
+extern int64_t adaptrack_watch_planner(double now, struct tracker_records_TrackerRecord *);
+extern void adaptrack_leave_planner(struct tracker_records_TrackerRecord *);
+extern void adaptrack_condition(const double *points, int64_t count, int64_t seven, double arm, double begins,
+                                double *nodes, int64_t rows, int64_t columns, adaptrack_word answers[3]);
+#endif
 
 #if ADAPTRACK_PLANS
 extern void adaptrack_mpc_prepare(struct controllers_mpc_Mpc *);
@@ -61,6 +73,13 @@ static const path_head *head_of(const void *path) {
 
 static const double *road_of(const path_head *head) { return (const double *)(const void *)(head + 1); }
 
+/* Write the head of a path that the kernel has made. */
+static void write_head(path_head *head, const double *memory, uint32_t closed) {
+    head->closed = closed, head->pieces = (int64_t)memory[ADAPTRACK_ROAD_COUNT], head->of = 0;
+    head->headings = (int64_t)(memory[ADAPTRACK_ROAD_LENGTH] / memory[ADAPTRACK_ROAD_SPACING] + 0.5) + 1;
+    for (int i = 0; i < 3; i++) head->reserved[i] = 0;
+}
+
 size_t adaptrack_path_size(const double *points, size_t count, int closed) {
     if (!points || count < 4 || count > ADAPTRACK_MOST_POINTS) return 0;
     return sizeof(path_head) + 8u * (size_t)adaptrack_path_words(points, (int64_t)count, 2, closed != 0);
@@ -84,9 +103,7 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, d
     if (flaw) *flaw = (size_t)answers[1].whole;
     if (answers[0].whole == ADAPTRACK_PATH_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
     if (answers[0].whole != 0) return ADAPTRACK_BAD_PATH;
-    head->closed = closed != 0, head->pieces = answers[1].whole, head->of = 0;
-    head->headings = (int64_t)(memory[ADAPTRACK_ROAD_LENGTH] / memory[ADAPTRACK_ROAD_SPACING] + 0.5) + 1;
-    for (int i = 0; i < 3; i++) head->reserved[i] = 0;
+    write_head(head, memory, closed != 0);
     head->id = adaptrack_crc32(points, 16u * count) ^ adaptrack_crc32(&noise, sizeof noise) ^ (closed ? 0xffffffffu : 0u);
     head->mark = PATH;
     return ADAPTRACK_OK;
@@ -114,9 +131,11 @@ typedef struct {
     size_t count;
 } speed_table; /* a planned speed; none without entries */
 
-#if !ADAPTRACK_SPEED_CONTROL
+#if ADAPTRACK_PLANNER || !ADAPTRACK_SPEED_CONTROL
 static int is_finite(double value) { return value - value == 0.0; }
+#endif
 
+#if !ADAPTRACK_SPEED_CONTROL
 static double magnitude(double value) { return value < 0.0 ? -value : value; }
 
 static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *head) {
@@ -133,9 +152,10 @@ static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *h
 }
 #endif
 
-/* Let the record's road and plan be those of the caller. */
-static void put_path(struct tracker_records_TrackerRecord *tracker, const path_head *head, const speed_table *plan) {
-    const double *memory = road_of(head), *start = memory + NUMBERS + COLUMNS * head->pieces;
+/* Let the record's road and plan be those of the caller; `memory`: the road as the kernel has made it. */
+static void put_path(struct tracker_records_TrackerRecord *tracker, const path_head *head, const double *memory,
+                     const speed_table *plan) {
+    const double *start = memory + NUMBERS + COLUMNS * head->pieces;
     tracker->path.of = whole_vector_of((int64_t *)(uintptr_t)&head->of, 1);
     tracker->path.numbers = matrix_at(memory, 1, NUMBERS);
     tracker->path.start = vector_at(start, head->pieces + 1);
@@ -172,6 +192,37 @@ static size_t plan_numbers(const path_head *path, const adaptrack_speeds *speeds
            (size_t)adaptrack_speed_path_words(length, (int64_t)path->closed, (int64_t)speeds->stop_count);
 }
 
+/* Write what the kernel makes of speeds along a road in `line`, in `size` numbers, and the plan's head. */
+static adaptrack_error write_plan(const path_head *road, const double *line, const adaptrack_speeds *speeds,
+                                  plan_head *head, double *numbers, size_t size, adaptrack_flaw *flaw) {
+    const size_t count = speeds->count;
+    struct speed_path_PlanArrays arrays;
+    adaptrack_word answers[2];
+    arrays.line.start = vector_at(line + NUMBERS + COLUMNS * road->pieces, road->pieces + 1);
+    arrays.line.pieces = matrix_at(line + NUMBERS, road->pieces, COLUMNS);
+    arrays.line.numbers = vector_at(line, NUMBERS);
+    arrays.s = vector_at(speeds->s, (int64_t)count), arrays.speed = vector_at(speeds->speed, (int64_t)count);
+    arrays.grade.s = vector_at(speeds->grade.s, (int64_t)speeds->grade.count);
+    arrays.grade.value = vector_at(speeds->grade.value, (int64_t)speeds->grade.count);
+    arrays.bank.s = vector_at(speeds->bank.s, (int64_t)speeds->bank.count);
+    arrays.bank.value = vector_at(speeds->bank.value, (int64_t)speeds->bank.count);
+    arrays.stops = vector_at(speeds->stops, (int64_t)speeds->stop_count);
+    arrays.seconds = vector_at(speeds->seconds, (int64_t)speeds->stop_count);
+    arrays.grade.steps = arrays.bank.steps = 0, arrays.stops_at_end = speeds->stays_at_end != 0;
+    head->length = line[ADAPTRACK_ROAD_LENGTH], head->closed = (int64_t)road->closed;
+    head->cells = (adaptrack_speed_path_words(head->length, head->closed, 0) - 2) / 4;
+    adaptrack_write_speed_path(&arrays, numbers, (int64_t)size, answers);
+    if (answers[0].whole == ADAPTRACK_PLAN_MEMORY_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
+    if (answers[0].whole != 0) {
+        if (flaw) flaw->array = (adaptrack_plan_array)answers[0].whole, flaw->index = (size_t)answers[1].whole;
+        return ADAPTRACK_BAD_PLAN;
+    }
+    head->stops = answers[1].whole, head->top_speed = 0.0;
+    for (size_t i = 0; i < count; i++)
+        if (speeds->speed[i] > head->top_speed) head->top_speed = speeds->speed[i];
+    return ADAPTRACK_OK;
+}
+
 static int is_table(const double *first, const double *second, size_t count) {
     return count <= ADAPTRACK_MOST_POINTS && (count == 0 || (first && second));
 }
@@ -192,11 +243,9 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
                                      adaptrack_flaw *flaw) {
     const path_head *road = head_of(path);
     plan_head *head = (plan_head *)plan;
-    struct speed_path_PlanArrays arrays;
     double *numbers;
-    const double *line;
     size_t tables, count;
-    adaptrack_word answers[2];
+    adaptrack_error error;
     if (flaw) flaw->array = ADAPTRACK_PLAN_NO_FLAW, flaw->index = 0;
     if (!road) return ADAPTRACK_BAD_PATH;
     if (!are_tables(speeds) || !plan || (uintptr_t)plan % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
@@ -205,32 +254,10 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
     count = speeds->count, tables = 2u * count;
     head->mark = 0;
     numbers = (double *)(void *)(head + 1);
-    line = road_of(road);
-    arrays.line.start = vector_at(line + NUMBERS + COLUMNS * road->pieces, road->pieces + 1);
-    arrays.line.pieces = matrix_at(line + NUMBERS, road->pieces, COLUMNS);
-    arrays.line.numbers = vector_at(line, NUMBERS);
-    arrays.s = vector_at(speeds->s, (int64_t)count), arrays.speed = vector_at(speeds->speed, (int64_t)count);
-    arrays.grade.s = vector_at(speeds->grade.s, (int64_t)speeds->grade.count);
-    arrays.grade.value = vector_at(speeds->grade.value, (int64_t)speeds->grade.count);
-    arrays.bank.s = vector_at(speeds->bank.s, (int64_t)speeds->bank.count);
-    arrays.bank.value = vector_at(speeds->bank.value, (int64_t)speeds->bank.count);
-    arrays.stops = vector_at(speeds->stops, (int64_t)speeds->stop_count);
-    arrays.seconds = vector_at(speeds->seconds, (int64_t)speeds->stop_count);
-    arrays.grade.steps = arrays.bank.steps = 0, arrays.stops_at_end = speeds->stays_at_end != 0;
-    head->length = line[ADAPTRACK_ROAD_LENGTH], head->closed = (int64_t)road->closed, head->count = (int64_t)count;
-    head->cells = (adaptrack_speed_path_words(head->length, head->closed, 0) - 2) / 4;
-    adaptrack_write_speed_path(&arrays, numbers + tables, (int64_t)(plan_numbers(road, speeds) - tables), answers);
-    if (answers[0].whole == ADAPTRACK_PLAN_MEMORY_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
-    if (answers[0].whole != 0) {
-        if (flaw) flaw->array = (adaptrack_plan_array)answers[0].whole, flaw->index = (size_t)answers[1].whole;
-        return ADAPTRACK_BAD_PLAN;
-    }
-    head->stops = answers[1].whole, head->top_speed = 0.0;
-    for (size_t i = 0; i < count; i++) {
-        numbers[i] = speeds->s[i], numbers[count + i] = speeds->speed[i];
-        if (speeds->speed[i] > head->top_speed) head->top_speed = speeds->speed[i];
-    }
-    head->path = road->id;
+    error = write_plan(road, road_of(road), speeds, head, numbers + tables, plan_numbers(road, speeds) - tables, flaw);
+    if (error != ADAPTRACK_OK) return error;
+    for (size_t i = 0; i < count; i++) numbers[i] = speeds->s[i], numbers[count + i] = speeds->speed[i];
+    head->count = (int64_t)count, head->path = road->id;
     head->id = adaptrack_crc32(numbers, 8u * (tables + 4u * (size_t)head->cells + 2u * (size_t)head->stops));
     head->mark = PLAN;
     return ADAPTRACK_OK;
@@ -418,6 +445,210 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
     return error;
 }
 
+#if ADAPTRACK_PLANNER
+/* -- a planner ---------------------------------------------------------------------------------------------------- */
+typedef struct {
+    uint64_t mark;
+    int64_t followed;              /* which of the two memories holds the trajectory that is followed */
+    adaptrack_trajectory fallback; /* without points: none */
+    adaptrack_point points[ADAPTRACK_TRAJECTORY_POINTS]; /* of the fallback */
+    path_head heads[2];
+    double memories[2][ADAPTRACK_TRAJECTORY_WORDS]; /* see the kernel take_trajectory */
+#if ADAPTRACK_SPEED_CONTROL
+    struct {
+        plan_head head;
+        double numbers[ADAPTRACK_TRAJECTORY_PLAN_WORDS];
+    } plans[2];
+#endif
+} planner;
+typedef char planner_has_room[sizeof(planner) <= ADAPTRACK_PLANNER_SIZE ? 1 : -1];
+static const uint64_t PLANNER = 0x6e6c706b72746461u; /* "adtrkpln" */
+enum { POINT_COLUMNS = sizeof(adaptrack_point) / sizeof(double), BY_PLANNER = 1, BY_FALLBACK = 2 };
+
+static planner *planner_of(const void *tracker) {
+    return (planner *)(uintptr_t)((const adaptrack_head *)tracker)->planner;
+}
+
+static planned_part *planned_of(void *tracker) { return &record_of(tracker)->tracker.planned; }
+
+adaptrack_error adaptrack_planner(void *tracker, void *memory, size_t size) {
+    planner *own = (planner *)memory;
+    adaptrack_error error;
+    if (!memory || (uintptr_t)memory % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
+    if (size < sizeof *own) return ADAPTRACK_TOO_SMALL;
+    error = adaptrack_take(tracker);
+    if (error != ADAPTRACK_OK) return error;
+    if (planned_of(tracker)->points.size[0] > 0) {
+        error = ADAPTRACK_OUT_OF_ORDER;
+    } else {
+        own->followed = 0, own->fallback.count = 0, own->mark = PLANNER;
+        ((adaptrack_head *)tracker)->planner = (uint64_t)(uintptr_t)own;
+    }
+    adaptrack_give(tracker);
+    return error;
+}
+
+/* Follow no trajectory any more. */
+static void leave_planner(void *tracker) {
+    planned_part *planned = planned_of(tracker);
+    adaptrack_leave_planner(&record_of(tracker)->tracker);
+    planned->speeds.s.size[0] = planned->speeds.speed.size[0] = 0;
+    planned->speeds.arrive.size[0] = planned->speeds.leave.size[0] = planned->points.size[0] = 0;
+    if (planner_of(tracker)) planner_of(tracker)->fallback.count = 0;
+}
+
+#if ADAPTRACK_SPEED_CONTROL
+static double friction_low(void *tracker) { return record_of(tracker)->longitudinal.friction.memory.data->low; }
+
+/* Make the plan of the speed control from what take_trajectory has written, and let the record follow it. */
+static adaptrack_error put_trajectory_plan(void *tracker, int64_t which, const double *line, const speed_table *table,
+                                           double *stops, size_t stop_count) {
+    planner *own = planner_of(tracker);
+    plan_head *head = &own->plans[which].head;
+    adaptrack_speeds speeds = {0};
+    adaptrack_error error;
+    speeds.s = table->s, speeds.speed = table->speed, speeds.count = table->count;
+    speeds.stops = stops, speeds.seconds = stops + stop_count, speeds.stop_count = stop_count;
+    for (size_t i = 0; i < stop_count; i++) stops[stop_count + i] = INFINITY; /* there is room; left by the time */
+    error = write_plan(&own->heads[which], line, &speeds, head, own->plans[which].numbers,
+                       ADAPTRACK_TRAJECTORY_PLAN_WORDS, 0);
+    if (error != ADAPTRACK_OK) return error;
+    head->count = 0, head->mark = PLAN;
+    return put_plan(record_of(tracker), head);
+}
+#else
+static double friction_low(void *tracker) { return tracker ? NAN : 0.0; }
+#endif
+
+/* Follow what take_trajectory has written to a memory, and where. */
+static adaptrack_error follow_parts(void *tracker, struct tracker_planner_Arrival *arrival, int64_t which,
+                                    const int64_t *parts) {
+    planner *own = planner_of(tracker);
+    planned_part *planned = planned_of(tracker);
+    path_head *head = &own->heads[which];
+    double *memory = own->memories[which], *line = memory + parts[ADAPTRACK_PART_PATH_AT];
+    const double *columns = memory + parts[ADAPTRACK_PART_SPEEDS_AT];
+    const int64_t room = parts[ADAPTRACK_PART_ROOM], count = parts[ADAPTRACK_PART_SPEEDS];
+    const int64_t points = parts[ADAPTRACK_PART_POINTS];
+    const speed_table table = {columns, columns + room, (size_t)count};
+    write_head(head, line, 0);
+    head->id = adaptrack_crc32(line, 8u * NUMBERS) ^ adaptrack_crc32(columns + 2 * room, 8u * (size_t)count);
+#if ADAPTRACK_SPEED_CONTROL
+    {
+        double *stops = memory + parts[ADAPTRACK_PART_STOPS_AT];
+        const adaptrack_error error =
+            put_trajectory_plan(tracker, which, line, &table, stops, (size_t)parts[ADAPTRACK_PART_STOPS]);
+        if (error != ADAPTRACK_OK) return error;
+    }
+#endif
+    put_path(&record_of(tracker)->tracker, head, line, &table);
+    planned->speeds.s = vector_at(table.s, count), planned->speeds.speed = vector_at(table.speed, count);
+    planned->speeds.arrive = vector_at(columns + 2 * room, count);
+    planned->speeds.leave = vector_at(columns + 3 * room, count);
+    planned->points = matrix_at(memory, points < ADAPTRACK_KEPT_POINTS ? points : ADAPTRACK_KEPT_POINTS, 3);
+    adaptrack_begin_trajectory(arrival, &record_of(tracker)->tracker);
+    ((adaptrack_head *)tracker)->path = path_id(head, &(speed_table){0, 0, 0});
+    own->followed = which;
+    return ADAPTRACK_OK;
+}
+
+/* Take a trajectory in at its time, and follow it unless the verdict is another; nothing changes after an error. */
+static adaptrack_error go_over_to(void *tracker, const adaptrack_trajectory *trajectory, int64_t role,
+                                  adaptrack_verdict *verdict, size_t *flaw) {
+    planned_part *planned = planned_of(tracker);
+    const struct planned_records_PlannedMemory before = *planned->memory.data;
+    double far[ADAPTRACK_FAR_NUMBERS];
+    const int64_t next = 1 - planner_of(tracker)->followed;
+    struct tracker_planner_Arrival arrival;
+    int64_t parts[ADAPTRACK_PARTS];
+    adaptrack_word answers[3];
+    adaptrack_error error = ADAPTRACK_OK;
+    for (int i = 0; i < ADAPTRACK_FAR_NUMBERS; i++) far[i] = planned->far.data[i];
+    arrival.stamp = trajectory->stamp, arrival.time = trajectory->now;
+    arrival.role = role, arrival.is_urgent = trajectory->is_urgent != 0;
+    adaptrack_take_trajectory(&trajectory->points->t, (int64_t)trajectory->count, POINT_COLUMNS, &arrival,
+                              friction_low(tracker), &record_of(tracker)->tracker,
+                              planner_of(tracker)->memories[next], ADAPTRACK_TRAJECTORY_WORDS, parts, ADAPTRACK_PARTS,
+                              answers);
+    *verdict = (adaptrack_verdict)answers[0].whole, *flaw = (size_t)answers[2].whole;
+    if (answers[1].whole == ADAPTRACK_LINE_TOO_SMALL) error = ADAPTRACK_TOO_SMALL;
+    else if (answers[1].whole != 0 && answers[1].whole != ADAPTRACK_REVERSE_AHEAD) error = ADAPTRACK_BAD_TRAJECTORY;
+    else if (*verdict == ADAPTRACK_VERDICT_TAKEN) error = follow_parts(tracker, &arrival, next, parts);
+    if (error == ADAPTRACK_OK) return error;
+    *planned->memory.data = before;
+    for (int i = 0; i < ADAPTRACK_FAR_NUMBERS; i++) planned->far.data[i] = far[i];
+    return error;
+}
+
+/* ADAPTRACK_BAD_FALLBACK, and the point, unless a trajectory is possible and ends at rest. */
+static adaptrack_error check_fallback(void *tracker, const adaptrack_trajectory *fallback, size_t *flaw) {
+    double *nodes = planner_of(tracker)->memories[1 - planner_of(tracker)->followed];
+    const int64_t count = (int64_t)fallback->count;
+    adaptrack_word answers[3];
+    if (count == 0) return ADAPTRACK_BAD_FALLBACK;
+    adaptrack_condition(&fallback->points->t, count, POINT_COLUMNS, 0.0, 0.0, nodes, 2 * count + 2,
+                        ADAPTRACK_NODE_COLUMNS, answers);
+    *flaw = (size_t)answers[1].whole;
+    if (answers[2].whole == 0) return ADAPTRACK_BAD_FALLBACK;
+    nodes += (answers[2].whole - 1) * ADAPTRACK_NODE_COLUMNS;
+    if (!is_finite(nodes[ADAPTRACK_NODE_LEAVE])) return ADAPTRACK_OK;
+    *flaw = fallback->count - 1;
+    return ADAPTRACK_BAD_FALLBACK;
+}
+
+static void keep_fallback(planner *own, const adaptrack_trajectory *fallback, double now) {
+    for (size_t i = 0; i < fallback->count; i++) own->points[i] = fallback->points[i];
+    own->fallback = *fallback;
+    own->fallback.points = own->points, own->fallback.now = now;
+}
+
+static int has_room(const adaptrack_trajectory *trajectory) {
+    return trajectory->count <= ADAPTRACK_TRAJECTORY_POINTS;
+}
+
+static int is_given(const adaptrack_trajectory *trajectory) {
+    return trajectory && (trajectory->points || trajectory->count == 0);
+}
+
+adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_trajectory *trajectory,
+                                            const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
+                                            size_t *flaw) {
+    adaptrack_trajectory arrived;
+    adaptrack_error error;
+    size_t place = 0;
+    if (!is_given(trajectory) || (fallback && !is_given(fallback)) || !verdict) return ADAPTRACK_BAD_ARGUMENT;
+    if (!has_room(trajectory) || (fallback && !has_room(fallback))) return ADAPTRACK_TOO_SMALL;
+    error = adaptrack_take(tracker);
+    if (error != ADAPTRACK_OK) return error;
+    arrived = *trajectory;
+    if (arrived.now != arrived.now) arrived.now = record_of(tracker)->tracker.memory.data->last;
+    if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
+    else if (!planner_of(tracker) || !is_finite(arrived.now)) error = ADAPTRACK_OUT_OF_ORDER;
+    else if (planner_of(tracker)->mark != PLANNER) error = ADAPTRACK_NOT_READY;
+    if (error == ADAPTRACK_OK && fallback) error = check_fallback(tracker, fallback, &place);
+    if (error == ADAPTRACK_OK) error = go_over_to(tracker, &arrived, BY_PLANNER, verdict, &place);
+    if (error == ADAPTRACK_OK && fallback && *verdict <= ADAPTRACK_VERDICT_SAME)
+        keep_fallback(planner_of(tracker), fallback, arrived.now);
+    if (flaw) *flaw = place;
+    adaptrack_give(tracker);
+    return error;
+}
+
+/* Go over to the fallback where the planner has fallen silent; without one that is fresh and fits, the car stops. */
+static void watch_planner(void *tracker, double now) {
+    planner *own = planner_of(tracker);
+    adaptrack_trajectory fallback;
+    adaptrack_verdict verdict;
+    size_t flaw;
+    if (!own || !is_finite(now) || !adaptrack_watch_planner(now, &record_of(tracker)->tracker)) return;
+    if (own->fallback.count == 0 || now - own->fallback.now > planned_of(tracker)->settings.data->fallback_age) return;
+    fallback = own->fallback, fallback.now = now;
+    (void)go_over_to(tracker, &fallback, BY_FALLBACK, &verdict, &flaw);
+}
+#else
+static void leave_planner(void *tracker) { (void)tracker; }
+#endif
+
 /* Go over to a path and its plan; `memory`: of the plan, null in an export without speed control. */
 static adaptrack_error follow(void *tracker, const path_head *head, double near, const speed_table *plan,
                               const void *memory) {
@@ -426,7 +657,8 @@ static adaptrack_error follow(void *tracker, const path_head *head, double near,
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
     else error = put_plan(record_of(tracker), memory);
     if (error == ADAPTRACK_OK) {
-        put_path(&record_of(tracker)->tracker, head, plan);
+        put_path(&record_of(tracker)->tracker, head, road_of(head), plan);
+        leave_planner(tracker);
         adaptrack_tracker_follow(near, &record_of(tracker)->tracker);
         ((adaptrack_head *)tracker)->path = path_id(head, plan) ^ plan_id(memory);
         ((adaptrack_head *)tracker)->points = head->id;
@@ -488,6 +720,10 @@ static adaptrack_error check_path(void *tracker) {
     const adaptrack_head *own = (const adaptrack_head *)tracker;
     const path_head *head;
     if (own->path == 0) return ADAPTRACK_OUT_OF_ORDER;
+#if ADAPTRACK_PLANNER
+    if (planned_of(tracker)->points.size[0] > 0)
+        return planner_of(tracker)->mark == PLANNER ? ADAPTRACK_OK : ADAPTRACK_BAD_PATH;
+#endif
     head = (const path_head *)(const void *)record_of(tracker)->tracker.path.numbers.data - 1;
     if (head->mark != PATH || head->id != own->points) return ADAPTRACK_BAD_PATH;
 #if ADAPTRACK_SPEED_CONTROL
@@ -507,10 +743,16 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
     error = adaptrack_arithmetic();
     if (error == ADAPTRACK_OK) error = check_path(tracker);
     if (error == ADAPTRACK_OK) {
+#if ADAPTRACK_PLANNER
+        watch_planner(tracker, sample->now == sample->now ? sample->now : sample->t);
+#endif
         row = record_of(tracker)->tracker.sample.data;
         for (size_t i = 0; i < sizeof *sample / sizeof *row; i++) row[i] = signals[i];
         adaptrack_tracker_step(record_of(tracker));
         read_answer(record_of(tracker)->tracker.tracked.data, answer);
+#if ADAPTRACK_PLANNER && !ADAPTRACK_SPEED_CONTROL
+        answer->target_speed = answer->driven_by > 0 ? planned_of(tracker)->memory.data->target_speed : NAN;
+#endif
 #if ADAPTRACK_SPEED_CONTROL
         read_requests(record_of(tracker), answer);
 #endif

@@ -149,6 +149,9 @@ typedef enum {
 
 typedef struct {
 @ANSWER@
+#if ADAPTRACK_PLANNER && !ADAPTRACK_SPEED_CONTROL
+    double target_speed; /* m/s, planned one period ahead by the times; NaN without a trajectory or a position */
+#endif
 #if ADAPTRACK_SPEED_CONTROL
     /* Requests of the speed control for the present period. Pass on `force` or `acceleration`, not both, and `hold`.
        They are finite, and within the limits of the car, whatever a sample contains. The force is for a car of
@@ -185,6 +188,52 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
    without a prediction: the controller is no MPC (ADAPTRACK_HORIZON is 0), there was no control instant on this path
    with these constants yet, or the last one found no solution. Errors as of adaptrack_step. */
 adaptrack_error adaptrack_predicted_path(void *tracker, double *points, size_t room, size_t *count, double *first);
+
+#if ADAPTRACK_PLANNER
+/* -- a planner's trajectories ------------------------------------------------------------------------------------- */
+/* A point of a trajectory. NaN: not given; so is a quantity that is 0 at all points. */
+typedef struct {
+@POINT@
+} adaptrack_point;
+
+/* Where the car is to be, and when. Arrays of the caller, which are copied. */
+typedef struct {
+    const adaptrack_point *points;
+    size_t count;  /* at most ADAPTRACK_TRAJECTORY_POINTS; 0: the planner is silent */
+    double stamp;  /* s, on the planner's clock, from which its times count; 0: the time of arrival */
+    double now;    /* s, when it arrived, on the clock of adaptrack_step; NaN: at the time of the last call */
+    int is_urgent; /* 1: it counts at once, without a transition */
+} adaptrack_trajectory;
+
+/* What becomes of a trajectory, see adaptrack_config.h:
+   TAKEN    it is followed.
+   SAME     it is the one that is followed, with a new stamp.
+   OLDER    its stamp is older than that of the one that is followed.
+   STALE    its stamp is too old, or of another clock, which is believed at its third stamp in a row.
+   EARLY    its stamp lies more than 0.1 s in the future, or is of another clock, likewise.
+   SILENT   it has no points.
+   WAITING  the planner was silent: it drives again at the third trajectory in a row that begins at the car.
+   UNFIT    of a fallback alone: see the table below. */
+
+/* Give a tracker memory for trajectories, aligned to 8 bytes and of ADAPTRACK_PLANNER_SIZE: once, behind adaptrack_init.
+   It must stay as it is until the tracker is initialised again. ADAPTRACK_OUT_OF_ORDER while a trajectory is followed.
+   */
+adaptrack_error adaptrack_planner(void *tracker, void *memory, size_t size);
+/* Follow a trajectory, wherever it begins: it is joined to what is followed, and followed by its times. A path in
+   between (adaptrack_follow) ends that. `verdict` says what became of it. `fallback`, unless null, must end at rest; it
+   is kept with a trajectory that is TAKEN or the SAME until another one comes, and its `now` is not read.
+   ADAPTRACK_BAD_TRAJECTORY where the trajectory is not possible, ADAPTRACK_BAD_FALLBACK where the fallback is not:
+   `flaw`, unless null, is then the number of the point. ADAPTRACK_TOO_SMALL for more points, or a way of more than about
+   1,000 m. ADAPTRACK_BAD_PLAN where it is faster than ADAPTRACK_TOP_SPEED of a speed control. The car goes on as before
+   after an error. */
+adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_trajectory *trajectory,
+                                            const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
+                                            size_t *flaw);
+/* Who drives, `driven_by` of an answer. adaptrack_step goes over to the fallback by itself.
+@WHO_DRIVES@
+   A saved state does not hold the trajectory and its fallback. adaptrack_restore answers ADAPTRACK_OTHER_PATH unless the
+   tracker follows the same trajectory, joined in the same way; a fallback stays as the tracker has it. */
+#endif
 
 /* -- the state ---------------------------------------------------------------------------------------------------- */
 /* Bytes of a saved state; 0 for no tracker. */

@@ -20,6 +20,27 @@ using Flaw = adaptrack_flaw;
 using Plan = adaptrack_plan;
 #endif
 inline constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
+#if ADAPTRACK_PLANNER
+using Trajectory = adaptrack_trajectory;
+using Verdict = adaptrack_verdict;
+
+// What is not given stays NaN.
+struct Point : adaptrack_point {
+    constexpr Point() noexcept : adaptrack_point{unknown, unknown, unknown, unknown, unknown, unknown, unknown} {}
+};
+
+// Memory for trajectories.
+class Planner {
+  public:
+    Planner() noexcept = default;
+    Planner(const Planner &) = delete;
+    Planner &operator=(const Planner &) = delete;
+    [[nodiscard]] void *data() noexcept { return memory_.data(); }
+
+  private:
+    alignas(ADAPTRACK_ALIGNMENT) std::array<std::uint64_t, ADAPTRACK_PLANNER_SIZE / 8> memory_{};
+};
+#endif
 
 // What is not known stays NaN.
 struct Sample : adaptrack_sample {
@@ -100,6 +121,17 @@ class BasicTracker {
     }
     [[nodiscard]] Error follow(const void *path, const Plan *plan = nullptr, double near = unknown) noexcept {
         return adaptrack_follow(memory_.data(), path, near, plan);
+    }
+#endif
+#if ADAPTRACK_PLANNER
+    // It must outlive the tracker; see adaptrack_planner.
+    [[nodiscard]] Error give(Planner &planner) noexcept {
+        return adaptrack_planner(memory_.data(), planner.data(), ADAPTRACK_PLANNER_SIZE);
+    }
+    // Trajectory and fallback are copied.
+    [[nodiscard]] Error follow(const Trajectory &trajectory, Verdict &verdict, const Trajectory *fallback = nullptr,
+                               std::size_t *flaw = nullptr) noexcept {
+        return adaptrack_follow_trajectory(memory_.data(), &trajectory, fallback, &verdict, flaw);
     }
 #endif
     [[nodiscard]] Error step(const adaptrack_sample &sample, Answer &answer) noexcept {

@@ -26,7 +26,9 @@ typedef enum {
                                       fused, reordered or replaced operations: see the options in the Makefile */
     ADAPTRACK_BAD_PATH = 12,       /* the points make no path, or the memory holds none */
     ADAPTRACK_OUT_OF_ORDER = 13,   /* a call that has to wait for another one first */
-    ADAPTRACK_BAD_PLAN = 14        /* speeds, slopes or stops make no plan, or the memory holds none */
+    ADAPTRACK_BAD_PLAN = 14,       /* speeds, slopes or stops make no plan, or the memory holds none */
+    ADAPTRACK_BAD_TRAJECTORY = 15, /* times, places, yaws or speeds make no trajectory */
+    ADAPTRACK_BAD_FALLBACK = 16    /* the fallback makes no trajectory, or does not end at rest */
 } adaptrack_error;
 
 #endif

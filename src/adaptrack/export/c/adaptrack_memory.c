@@ -80,7 +80,7 @@ void adaptrack_begin(adaptrack_head *head, const adaptrack_file *constants, uint
                      size_t count) {
     head->busy = 0, head->path = 0, head->points = 0, head->constants = constants->checksum;
     head->state = (uint32_t)state, head->count = (uint32_t)count, head->kernels = kernels;
-    for (int i = 0; i < 3; i++) head->reserved[i] = 0;
+    head->planner = head->reserved[0] = head->reserved[1] = 0;
     head->mark = MARK;
 }
 

@@ -30,7 +30,8 @@ typedef struct {
     uint32_t state;     /* words of the memory before the state */
     uint32_t count;     /* of the state */
     uint64_t kernels;
-    uint64_t reserved[3];
+    uint64_t planner; /* address of its memory, 0: none */
+    uint64_t reserved[2];
 } adaptrack_head; /* 64 bytes, a cache line */
 
 /* What words of constants may be: as exported, any number but NaN, from least to most, as another word, anything. */

@@ -18,6 +18,7 @@ namespace adaptrack_ros {
 struct Parameters {
     std::string pose_message = "nav_msgs/Odometry"; // on odom; geometry_msgs/PoseStamped on pose, or tf
     std::string motion_message;           // geometry_msgs/TwistStamped, nav_msgs/Odometry or sensor_msgs/Imu on motion
+    std::string follow = "path";          // or trajectory: by its times, with an export for it
     std::string base_frame = "base_link"; // frame of the car: of the odometry's child and of the motion
     double base_ahead = 0.0;              // m, from the centre of the rear axle forwards to the origin of the base frame
     double top_speed = 10.0;              // m/s, beside what bends allow, and beside the path's speeds where it has some
@@ -80,6 +81,10 @@ class Follower {
     // A path through points x, y (m), one behind the other, and speeds (m/s) at them, or none; an empty one stops the
     // car. One that cannot be driven is refused, the one before is followed on, and the diagnostics say why.
     void path(const std::vector<double> &points, const std::vector<double> &speeds, const std::string &frame);
+#if ADAPTRACK_PLANNER
+    // A trajectory with a stamp (s) that arrives at a time (s); an empty one is the silence of its planner.
+    void trajectory(const std::vector<adaptrack_point> &points, double stamp, double now, const std::string &frame);
+#endif
     // Begin to drive from the angle (rad) that the wheels have, or leave the car to somebody else.
     void engage(bool on, double wheel_angle = 0.0);
     // The command for now (s, on the clock of the stamps), once per period; none while somebody else drives.
@@ -123,6 +128,10 @@ class Follower {
     bool has_path_ = false, halted_ = false, engaged_ = true, stopping_ = false;
     double sample_speed_ = 0.0;      // m/s, of the last call
     double left_ = 0.0, next_ = 0.0; // m, where it began to drive along the path, and its next stop; NaN: a new path
+#if ADAPTRACK_PLANNER
+    std::vector<std::uint64_t> planner_; // memory for trajectories
+    bool has_begun_ = false;             // with the first trajectory
+#endif
     std::vector<double> points_, speeds_;
     std::string path_frame_, pose_frame_, path_trouble_, pose_trouble_, motion_trouble_;
     std::optional<Sample> fresh_;

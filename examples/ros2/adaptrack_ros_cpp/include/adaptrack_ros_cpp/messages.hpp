@@ -95,6 +95,43 @@ void speeds_of_trajectory(const Trajectory &trajectory, std::vector<double> &spe
     for (const auto &each : trajectory.points) speeds.push_back(each.longitudinal_velocity_mps);
 }
 
+#if ADAPTRACK_PLANNER
+// ns of a builtin_interfaces/Time or Duration
+template <class Time>
+std::int64_t nanoseconds(const Time &time) {
+    return 1000000000 * static_cast<std::int64_t>(time.sec) + time.nanosec;
+}
+
+// A point of a trajectory: its pose at a time (ns) after the stamp.
+template <class Pose>
+adaptrack_point point_of(const Pose &pose, std::int64_t time) {
+    return {1e-9 * static_cast<double>(time), pose.position.x, pose.position.y, yaw_of(pose.orientation), NAN, NAN, NAN};
+}
+
+// The points of an autoware_planning_msgs/Trajectory; s, its stamp.
+template <class Trajectory>
+double trajectory_of(const Trajectory &trajectory, std::vector<adaptrack_point> &points) {
+    points.clear();
+    for (const auto &each : trajectory.points) {
+        points.push_back(point_of(each.pose, nanoseconds(each.time_from_start)));
+        points.back().speed = static_cast<double>(each.longitudinal_velocity_mps);
+        points.back().acceleration = static_cast<double>(each.acceleration_mps2);
+    }
+    return 1e-9 * static_cast<double>(nanoseconds(trajectory.header.stamp));
+}
+
+// The poses of a nav_msgs/Path, whose stamps say when the car is to be there; s, its stamp or that of the first pose.
+template <class Path>
+double trajectory_of_path(const Path &path, std::vector<adaptrack_point> &points) {
+    std::int64_t stamp = nanoseconds(path.header.stamp);
+    points.clear();
+    if (stamp == 0 && !path.poses.empty()) stamp = nanoseconds(path.poses.front().header.stamp);
+    for (const auto &each : path.poses)
+        points.push_back(point_of(each.pose, nanoseconds(each.header.stamp) - stamp));
+    return 1e-9 * static_cast<double>(stamp);
+}
+#endif
+
 // Write an ackermann_msgs/AckermannDrive. 0 as the steering velocity and the jerk means as quickly as possible: the
 // angles are within the steering's rate already.
 template <class Drive>
