@@ -76,7 +76,7 @@ WHO_DRIVES = (
 
 
 CarPoint = Literal["centre of mass", "rear axle", "front axle"]
-"""A point of the car whose places are given."""
+"""Point of the car to which positions refer."""
 
 
 def arm_of(name: str, point: str, car: Vehicle | None) -> float:
@@ -116,7 +116,7 @@ class TrajectoryAnswer(NamedTuple):
 
     verdict: Verdict
     arrival: Any
-    """`core.tracker.planner.Arrival`"""
+    """of the trajectory, `core.tracker.planner.Arrival`"""
     road: Road | None = None
     """line of the trajectory; None: it is not followed"""
     plan: FollowedPlan | None = None
@@ -141,9 +141,9 @@ class PlannerFollower:
         plan = FollowedPlan(np.array([0.0, 1.0]), np.full(2, 0.1), (), self.following.comfort)
         return Road.from_segments([Line(length=1.0)]), plan
 
-    def fresh_fallback(self, now: float) -> PlannedTrajectory | None:
+    def fresh_fallback(self, time: float) -> PlannedTrajectory | None:
         """The fallback at a time (s); None if there is none or it is stale."""
-        if self.fallback is None or now - self.fallback[1] > self.following.fallback_age:
+        if self.fallback is None or time - self.fallback[1] > self.following.fallback_age:
             return None
         return self.fallback[0]
 
@@ -154,7 +154,7 @@ class PlannerFollower:
             raise InvalidInput("Tracker.follow: fallback: it must end at rest, with a speed of 0 at its last point.")
 
     def take(
-        self, trajectory: PlannedTrajectory, now: float, role: int, friction: float, tracker: Any
+        self, trajectory: PlannedTrajectory, time: float, role: int, friction: float, tracker: Any
     ) -> TrajectoryAnswer:
         """Convert a trajectory that arrives at a time (s) for a tracker (resident).
 
@@ -169,7 +169,7 @@ class PlannerFollower:
         length = float(portable.hypot(*np.diff(rows[:, 1:3], axis=0).T).sum())
         buffer = np.empty(kernel.trajectory_words(len(rows), len(self.planned.points), length))
         parts = np.empty(len(kernel.PARTS), np.int64)
-        arrival = kernel.Arrival(trajectory.stamp, now, role, int(trajectory.urgent))
+        arrival = kernel.Arrival(trajectory.stamp, time, role, int(trajectory.urgent))
         verdict, status, _ = kernel.take_trajectory(rows, arrival, friction, tracker, buffer, parts)
         if status not in (OK, condition.REVERSE_AHEAD):
             raise InvalidInput(f"Tracker.follow: {trajectory!r}: no line can be made of its places: they fold back.")

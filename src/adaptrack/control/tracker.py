@@ -342,7 +342,7 @@ class Tracker:
             When the argument is no path, or the trajectory is impossible: the car goes on as before.
         """
         if isinstance(path, PlannedTrajectory):
-            return self._follow_planner(path, fallback, now)
+            return self._follow_planner(path, fallback, float(self._kernel.memory[0].last) if now is None else now)
         self._set_path(path, plan)
         if self._planner is not None:
             self._start_planner(self._planner.following)
@@ -367,33 +367,31 @@ class Tracker:
         return planner
 
     def _follow_planner(
-        self, trajectory: PlannedTrajectory, fallback: PlannedTrajectory | None, now: float | None
+        self, trajectory: PlannedTrajectory, fallback: PlannedTrajectory | None, arrival_time: float
     ) -> Verdict:
-        """Follow a trajectory of a planner, and store its fallback."""
+        """Follow a trajectory of a planner that arrives at a time (s), and store its fallback."""
         planner = self._planner or self._start_planner(Following())
-        if now is None:
-            now = float(self._kernel.memory[0].last)
-        if not math.isfinite(now):
+        if not math.isfinite(arrival_time):
             raise InvalidInput("Tracker.follow: now: give the time (s) of arrival before the first call of step.")
         if fallback is not None:
             planner.check_fallback(fallback)
-        verdict = self._follow_trajectory(planner, trajectory, now, PLANNER)
+        verdict = self._follow_trajectory(planner, trajectory, arrival_time, PLANNER)
         if fallback is not None and verdict in (Verdict.TAKEN, Verdict.SAME):
-            planner.fallback = fallback, now
+            planner.fallback = fallback, arrival_time
         offset = float(self._kernel.planned.memory[0].clock_offset)
         if abs(offset) > MAX_STAMP_LEAD:
             self._warn_once("clock", "the clock of the planner differs: %.3g s are added to its stamps.", offset)
         if verdict in (Verdict.STALE, Verdict.EARLY, Verdict.OLDER):
             self._warn_once(verdict, "a trajectory was refused, it is %s: its stamp is %.3f s, it arrived at %.3f s; "
-                            "see docs/planner.md.", verdict, trajectory.stamp, now)  # fmt: skip
+                            "see docs/planner.md.", verdict, trajectory.stamp, arrival_time)  # fmt: skip
         return verdict
 
     def _follow_trajectory(
-        self, planner: PlannerFollower, trajectory: PlannedTrajectory, now: float, role: int
+        self, planner: PlannerFollower, trajectory: PlannedTrajectory, arrival_time: float, role: int
     ) -> Verdict:
-        """Follow a trajectory, `PLANNER` or `FALLBACK`, if its verdict is `Verdict.TAKEN`."""
+        """Follow a trajectory if its verdict is `Verdict.TAKEN`; role: `PLANNER` or `FALLBACK`."""
         low = math.nan if self._speed is None else self._speed.command.friction_low
-        answer = planner.take(trajectory, now, role, low, self._resident)
+        answer = planner.take(trajectory, arrival_time, role, low, self._resident)
         if answer.road is not None:
             self.path, self.plan, self._target = answer.road, answer.plan, None
             if self._speed is not None:
@@ -405,13 +403,13 @@ class Tracker:
             self._call(tracker_apply)
         return answer.verdict
 
-    def _follow_fallback(self, planner: PlannerFollower, now: float) -> None:
+    def _follow_fallback(self, planner: PlannerFollower, call_time: float) -> None:
         """Follow the fallback of a planner that has fallen silent; if none fits, the car stops."""
         silence, reason = planner.following.silence, "it has left no fallback that is fresh enough"
-        if (fallback := planner.fresh_fallback(now)) is not None:
+        if (fallback := planner.fresh_fallback(call_time)) is not None:
             reason = "its fallback does not begin at the car, or asks for more grip than is assumed"
             try:
-                verdict = self._follow_trajectory(planner, fallback, now, FALLBACK)
+                verdict = self._follow_trajectory(planner, fallback, call_time, FALLBACK)
             except InvalidInput as error:  # a step never fails because of a trajectory
                 verdict, reason = Verdict.UNFIT, str(error)
             if verdict is Verdict.TAKEN:

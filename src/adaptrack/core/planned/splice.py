@@ -22,11 +22,11 @@ from .records import NODE
 CarOnLine = record("CarOnLine", ("x", "y", "yaw", "speed", "station"))
 """The car (m, m, rad, m/s) and its arc length (m) on the line that it follows; NaN: unknown."""
 
-STEP_TIME, MIN_STEP, MAX_STEP = 0.15, 0.75, 3.0
+POINT_TIME, MIN_POINT_WAY, MAX_POINT_WAY = 0.15, 0.75, 3.0
 """s, m, m: time between the points of a line at the planned speed, and bounds of their distance."""
 BEHIND_TIME, BEHIND_WAY = 0.5, 5.0
 """s, m: a line begins so far behind the car, because late samples lie behind it."""
-AGREEMENT_TIME, AGREEMENT_WAY = 3.0, 5.0
+OLD_LINE_TIME, OLD_LINE_WAY = 3.0, 5.0
 """s, m: as far ahead of the car, the line before is used while both agree."""
 MIN_AGREEMENT_TIME, MIN_AGREEMENT_WAY = 0.4, 2.0
 """s, m: lines that agree for less disagree."""
@@ -50,7 +50,7 @@ def agreement_tolerance(position_noise, noise):
 @inlined
 def _step_at(speed):
     """Distance (m) of points at a planned speed (m/s)."""
-    return clip(STEP_TIME * speed, MIN_STEP, MAX_STEP)
+    return clip(POINT_TIME * speed, MIN_POINT_WAY, MAX_POINT_WAY)
 
 
 @inlined
@@ -98,7 +98,7 @@ def _interpolate_offset(s, feet, count, first):
 @inlined
 def _agreement_end(car, tolerance, feet, count, old_points):
     """Arc length (m) of the last point of the old line up to which both lines agree; -inf: they disagree."""
-    longest, end, last_point = car.station + AGREEMENT_TIME * car.speed + AGREEMENT_WAY, -math.inf, -math.inf
+    longest, end, last_point = car.station + OLD_LINE_TIME * car.speed + OLD_LINE_WAY, -math.inf, -math.inf
     for j in range(count):
         if feet[j, 0] <= car.station:
             continue
@@ -139,7 +139,7 @@ def write_points(nodes, count, feet, until, car, line, old_points, points):
     until: -inf: the nodes alone. Rows begin at `FRONT_ROOM`; feet and old_points: see `confirmed_agreement_end`.
     """
     end, segment = FRONT_ROOM, 0
-    begin = car.station - BEHIND_WAY - BEHIND_TIME * car.speed - MAX_STEP
+    begin = car.station - BEHIND_WAY - BEHIND_TIME * car.speed - MAX_POINT_WAY
     fade = max(until - FADE_TIME * car.speed - FADE_WAY, car.station)
     if until > -math.inf and count > 1:
         for i in range(len(old_points)):

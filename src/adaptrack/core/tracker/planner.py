@@ -43,7 +43,7 @@ from .take_call import tracker_follow
 
 LINE_FLAW = 100
 """Added to a status of `roads.path.path_through`: no line can be fitted to the nodes."""
-LEAST_SPEED, LEAST_STEP = 0.1, 1e-3
+MIN_NODE_SPEED, MIN_PLACE_STEP = 0.1, 1e-3
 """m/s, m: least speed at a node that is no rest; least distance of two places of the speeds."""
 LONGEST_WAIT, LENGTH_ROOM, SMOOTHING_WORDS = 0.5, 100.0, 14
 """s, m, -: longest time over which the car is extrapolated to the arrival of a trajectory; by how much a line may be
@@ -216,12 +216,12 @@ def _write_speeds(nodes, count, line, speeds, stops):
     for j in range(count):
         node = nodes[j]
         s, _, _, _ = foot_near(node[NODE.x], node[NODE.y], s, line)
-        place, speed = length if j == count - 1 else clip(s, 0.0, length), max(node[NODE.speed], LEAST_SPEED)
-        if j == 0 and place > LEAST_STEP:  # the line begins behind the trajectory
+        place, speed = length if j == count - 1 else clip(s, 0.0, length), max(node[NODE.speed], MIN_NODE_SPEED)
+        if j == 0 and place > MIN_PLACE_STEP:  # the line begins behind the trajectory
             speeds.s[0], speeds.speed[0] = 0.0, speed
             speeds.arrive[0] = speeds.leave[0] = node[NODE.arrive] - place / speed
             k = 0
-        if k < 0 or place > speeds.s[k] + LEAST_STEP:
+        if k < 0 or place > speeds.s[k] + MIN_PLACE_STEP:
             k += 1
             speeds.s[k] = place
         speeds.arrive[k], speeds.leave[k] = node[NODE.arrive], node[NODE.leave]
@@ -355,10 +355,10 @@ def leave_planner(tracker):
 
 
 @exported(int64(float64, Place(TrackerRecord)))
-def watch_planner(now, tracker):
+def watch_planner(time, tracker):
     """Return 1 if the planner has just fallen silent at a time (s): take a fallback, otherwise the car stops."""
     settings, memory = tracker.planned.settings[0], tracker.planned.memory[0]
-    if memory.driven_by != PLANNER or now - memory.arrival <= settings.silence:
+    if memory.driven_by != PLANNER or time - memory.arrival <= settings.silence:
         return 0
     memory.driven_by, memory.returned = STOP, 0
     return 1
