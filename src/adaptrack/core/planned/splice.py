@@ -42,12 +42,6 @@ FRONT_ROOM = 8
 
 
 @inlined
-def agreement_tolerance(position_noise, noise):
-    """Distance (m) up to which lines agree; m, m: standard deviations of a measured position and of points."""
-    return max(AGREEMENT_SIGMAS * position_noise, MIN_TOLERANCE) + AGREEMENT_SIGMAS * noise
-
-
-@inlined
 def _step_at(speed):
     """Distance (m) of points at a planned speed (m/s)."""
     return clip(POINT_TIME * speed, MIN_POINT_WAY, MAX_POINT_WAY)
@@ -112,12 +106,13 @@ def _agreement_end(car, tolerance, feet, count, old_points):
 
 
 @inlined
-def confirmed_agreement_end(car, tolerance, feet, count, old_points, memory):
+def confirmed_agreement_end(car, position_noise, noise, feet, count, old_points, memory):
     """Arc length (m) up to which the old line is used; a small disagreement must come several times in a row.
 
-    tolerance: m, see `agreement_tolerance`; feet: (count, 2), see `project_nodes`; old_points: (n, 3), of the old line
-    with their arc lengths. -inf: the new line counts at once.
+    position_noise, noise: m, standard deviations of a measured position and of the nodes; feet: (count, 2), see
+    `project_nodes`; old_points: (n, 3), of the old line with their arc lengths. -inf: the new line counts at once.
     """
+    tolerance = max(AGREEMENT_SIGMAS * position_noise, MIN_TOLERANCE) + AGREEMENT_SIGMAS * noise
     end = _agreement_end(car, tolerance, feet, count, old_points)
     memory.disagreed = 0 if end > -math.inf else memory.disagreed + 1
     if 0 < memory.disagreed < MIN_DISAGREEMENTS:

@@ -192,9 +192,8 @@ def _write_line(arrival, car, count, buffers, tracker):
     if car.station == car.station:
         splice.project_nodes(nodes, count, car.station, pose.line(tracker), feet)
         if arrival.role == PLANNER and arrival.is_urgent == 0:
-            tolerance = splice.agreement_tolerance(planned.settings[0].position_noise, noise)
-            memory = planned.memory[0]
-            until = splice.confirmed_agreement_end(car, tolerance, feet, count, planned.points, memory)
+            sigma, memory = planned.settings[0].position_noise, planned.memory[0]
+            until = splice.confirmed_agreement_end(car, sigma, noise, feet, count, planned.points, memory)
     end = splice.write_points(nodes, count, feet, until, car, pose.line(tracker), planned.points, points)
     first = splice.prepend_points(car, nodes, end, points)
     flaw, _ = path_through(points[first:end], False, 0.0, buffers.path)
@@ -275,19 +274,6 @@ def _watch_meant_line(arrival, car, count, buffers, tracker):
         remember_place(nodes[k, NODE.x], nodes[k, NODE.y], planned.far, memory)
 
 
-@inlined
-def _check_stamp(points, checksum, arrival, settings, memory):
-    """Return a verdict by the stamp and the novelty of a trajectory, and its time 0 (s) on the tracker's clock."""
-    if len(points) == 0:
-        return clock.SILENT, arrival.time
-    if arrival.role != PLANNER:
-        return clock.TAKEN, arrival.time
-    verdict, begins = clock.convert_stamp(arrival.stamp, arrival.time, settings, memory)
-    if verdict == clock.TAKEN and memory.driven_by == PLANNER and checksum == memory.checksum:
-        verdict = clock.SAME
-    return verdict, begins
-
-
 @exported(several(int64, int64, int64)(matrix, Arrival, float64, Place(TrackerRecord), vector, int_vector))
 def take_trajectory(points, arrival, friction, tracker, buffer, parts):
     """Convert a trajectory, `GIVEN` (n, 7), to a line with speeds and times in a buffer (`trajectory_words`).
@@ -298,20 +284,25 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
     """
     planned, checksum, is_fallback = tracker.planned, _checksum_of(points), arrival.role == FALLBACK
     settings, memory = planned.settings[0], planned.memory[0]
-    verdict, begins = _check_stamp(points, checksum, arrival, settings, memory)
-    if verdict == clock.SAME:
-        memory.stamp, memory.arrival = max(memory.stamp, arrival.stamp), arrival.time
-    if verdict != clock.TAKEN:
-        return verdict, OK, 0
+    if len(points) == 0:
+        return clock.SILENT, OK, 0
+    begins = arrival.time
+    if not is_fallback:
+        verdict, begins = clock.convert_stamp(arrival.stamp, arrival.time, settings, memory)
+        if verdict != clock.TAKEN:
+            return verdict, OK, 0
+        if memory.driven_by == PLANNER and checksum == memory.checksum:
+            memory.stamp, memory.arrival = max(memory.stamp, arrival.stamp), arrival.time
+            return clock.SAME, OK, 0
     buffers = _buffers_in(buffer, len(points), len(planned.points))
     nodes, speeds = buffers.nodes, buffers.speeds
     status, entry, count = condition(points, settings.tracked_arm, begins, nodes)
     if count == 0:
-        return verdict, status, entry
+        return clock.TAKEN, status, entry
     car = _extrapolate_car(arrival.time, tracker)
     flaw, count, point_count = _write_line(arrival, car, count, buffers, tracker)
     if flaw != OK:
-        return verdict, flaw, 0
+        return clock.TAKEN, flaw, 0
     line, _ = line_in(buffers.path)
     if is_fallback and not _is_fit_fallback(friction, car, nodes, count, line):
         return clock.UNFIT, OK, 0
@@ -328,7 +319,7 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
     _, _, speeds_at, stops_at, path_at = _offsets(len(points), len(planned.points))
     parts[PARTS.speeds_at], parts[PARTS.stops_at], parts[PARTS.path_at] = speeds_at, stops_at, path_at
     parts[PARTS.room] = speeds.s.size
-    return verdict, status, entry
+    return clock.TAKEN, status, entry
 
 
 @exported(void(Arrival, Place(TrackerRecord)))
