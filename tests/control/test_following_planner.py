@@ -177,10 +177,7 @@ def test_a_silent_planner_leaves_the_car_to_its_fallback_and_returns_after_three
     results = drive_straight(tracker, 14, start=9)
     assert results[-1].driven_by is DrivenBy.FALLBACK
     assert tracker.path.at(tracker.path.length).x == pytest.approx(3.5 + 100.0 / 6.0, abs=1e-3)
-    now = 0.05 * 22
-    verdicts = [
-        tracker.follow(straight_plan(10.0 * (now + 0.1 * k), now + 0.1 * k), now=now + 0.1 * k) for k in range(3)
-    ]
+    verdicts = [tracker.follow(straight_plan(10.0 * t, t), now=t) for t in (1.1, 1.2, 1.3)]
     assert verdicts == [Verdict.WAITING, Verdict.WAITING, Verdict.TAKEN]
 
 

@@ -401,7 +401,7 @@ def condition(points, arm, begins, nodes):
     arm: m, from the centre of mass forwards to the tracked point; begins: s, time 0 of the trajectory on the clock of
     the tracker; nodes: at least 2 n + 2 rows for n points; the rows behind the result are scratch.
 
-    `OK` comes with the last entry, `REVERSE_AHEAD` with the entry at which the car is to stop, a refusal with the
+    `OK` comes with the last entry, `REVERSE_AHEAD` with that at which the car is to stop, a refusal with the
     faulty entry and 0 nodes. The trajectory ends with a rest, until infinity, if its last speed is below `REST_SPEED`;
     else it ends in motion. No points: 0 nodes. One node: the car stands; the next row has x and y 1 m ahead, NaN if the
     yaw is unknown.

@@ -27,52 +27,52 @@ MIN_HIDDEN_TIME = 2.5
 
 
 @inlined
-def _drop_oldest_places(count, far, memory):
+def _drop_oldest_places(count, places, memory):
     """Forget so many of the stored places."""
     for i in range(2 * (memory.far_count - count)):
-        far[i] = far[i + 2 * count]
+        places[i] = places[i + 2 * count]
     memory.far_count -= count
 
 
 @inlined
-def remember_place(x, y, far, memory):
+def remember_place(x, y, places, memory):
     """Store a place (m, m) of the intended line, unless it is near the last one."""
     end = 2 * memory.far_count
-    if end > 0 and hypot(x - far[end - 2], y - far[end - 1]) < FAR_STEP:
+    if end > 0 and hypot(x - places[end - 2], y - places[end - 1]) < FAR_STEP:
         return
-    if end == far.size:
-        _drop_oldest_places(1, far, memory)
+    if end == places.size:
+        _drop_oldest_places(1, places, memory)
         end -= 2
-    far[end], far[end + 1] = x, y
+    places[end], places[end + 1] = x, y
     memory.far_count += 1
 
 
 @inlined
-def _offset_from_places(x, y, far, memory):
+def _offset_from_places(x, y, places, memory):
     """Offset (m) of a point to the left of the line through the stored places; NaN before its start or after its end.
 
     Places well behind the point are forgotten.
     """
     offset, segment = math.nan, 0
     for k in range(memory.far_count - 1):
-        start_x, start_y = far[2 * k], far[2 * k + 1]
-        dx, dy = far[2 * k + 2] - start_x, far[2 * k + 3] - start_y
+        start_x, start_y = places[2 * k], places[2 * k + 1]
+        dx, dy = places[2 * k + 2] - start_x, places[2 * k + 3] - start_y
         length = hypot(dx, dy)
         along = ((x - start_x) * dx + (y - start_y) * dy) / length
         if 0.0 <= along <= length:
             offset, segment = ((y - start_y) * dx - (x - start_x) * dy) / length, k
     if segment > 1:
-        _drop_oldest_places(segment - 1, far, memory)
+        _drop_oldest_places(segment - 1, places, memory)
     return offset
 
 
 @inlined
-def hides_error(x, y, trajectory_offset, elapsed, settings, far, memory):
+def hides_error(x, y, trajectory_offset, elapsed, settings, places, memory):
     """Whether the trajectories have hidden an offset of the car at (x, y), in m, for `MIN_HIDDEN_TIME`.
 
     trajectory_offset: m, of the car from the newest trajectory; elapsed: s, since the trajectory before.
     """
-    meant_offset = _offset_from_places(x, y, far, memory)
+    meant_offset = _offset_from_places(x, y, places, memory)
     if not math.isfinite(meant_offset + trajectory_offset):
         memory.hidden = 0.0
         return False
