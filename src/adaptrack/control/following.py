@@ -1,4 +1,4 @@
-"""Following a planner: how its trajectories are taken in, and what is followed of them."""
+"""Follow a planner: settings, verdicts on its trajectories, and their conversion to a road with a plan."""
 
 from __future__ import annotations
 
@@ -29,36 +29,37 @@ Array = NDArray[np.float64]
 
 
 class Verdict(StrEnum):
-    """What became of a trajectory."""
+    """Verdict on a trajectory."""
 
     TAKEN = "taken"
-    """it is followed"""
+    """the car follows it"""
     SAME = "same"
-    """it is the one that is followed, with a new stamp"""
+    """it repeats the followed trajectory with a new stamp"""
     OLDER = "older"
-    """its stamp is older than that of the one that is followed"""
+    """its stamp is older than that of the followed trajectory"""
     STALE = "stale"
-    """its stamp is older than `Following.oldest`, or of another clock"""
+    """its stamp is older than `Following.oldest`, or of a different clock"""
     EARLY = "early"
-    """its stamp lies more than 0.1 s in the future, or is of another clock"""
+    """its stamp is more than 0.1 s in the future, or of a different clock"""
     SILENT = "silent"
     """it has no points"""
     WAITING = "waiting"
     """the planner was silent: it drives again after three trajectories in a row that begin at the car"""
     UNFIT = "unfit"
-    """a fallback does not begin at the car, or asks for more grip than is assumed"""
+    """a fallback does not begin at the car, or needs more grip than is assumed"""
 
 
 class DrivenBy(StrEnum):
-    """Who decides where the car goes and how fast."""
+    """Source that decides where the car goes and how fast."""
 
     NOBODY = "nobody"
     """no trajectory yet, or a path without times"""
     PLANNER = "planner"
+    """the newest trajectory of the planner"""
     FALLBACK = "fallback"
-    """the trajectory that the planner has left for this case; it ends at rest"""
+    """the trajectory to rest that the planner has sent for the case of its silence"""
     STOP = "stop"
-    """nobody: the car stops along its last trajectory"""
+    """the tracker: the car stops along its last trajectory"""
 
 
 VERDICTS, DRIVERS = tuple(Verdict), tuple(DrivenBy)
@@ -76,7 +77,7 @@ WHO_DRIVES = (
 
 
 CarPoint = Literal["centre of mass", "rear axle", "front axle"]
-"""A point of the car whose places are given."""
+"""Point of the car to which positions refer."""
 
 
 def arm_of(name: str, point: str, car: Vehicle | None) -> float:
@@ -92,10 +93,10 @@ def arm_of(name: str, point: str, car: Vehicle | None) -> float:
 
 
 class Following(RecordSettings, record=records.PLANNED_SETTINGS):
-    """How a planner's trajectories are followed.
+    """Settings for following the trajectories of a planner.
 
-    `tracked_point` is the point of the car whose places a trajectory states; `comfort` limits the accelerations that
-    make up for lateness, and stops without a fallback.
+    `tracked_point` is the point of the car that the planner plans. `comfort` limits the accelerations that reduce
+    lateness, and those of stops without a fallback.
     """
 
     tracked_point: CarPoint = "centre of mass"
@@ -103,7 +104,7 @@ class Following(RecordSettings, record=records.PLANNED_SETTINGS):
 
 
 class FollowedPlan(NamedTuple):
-    """Speeds along the path of a trajectory, as a speed control takes them."""
+    """Speeds (m/s) at arc lengths (m) along the path of a trajectory, with its stops, for a speed control."""
 
     s: Array
     speed: Array
@@ -111,19 +112,19 @@ class FollowedPlan(NamedTuple):
     comfort: Comfort
 
 
-class Taken(NamedTuple):
-    """What became of a trajectory, and what is followed of it."""
+class TrajectoryAnswer(NamedTuple):
+    """Verdict on a trajectory, with its line and plan."""
 
     verdict: Verdict
     arrival: Any
-    """`core.tracker.planner.Arrival`"""
+    """of the trajectory, `core.tracker.planner.Arrival`"""
     road: Road | None = None
-    """its line; None: it is not followed"""
+    """line of the trajectory; None: it is not followed"""
     plan: FollowedPlan | None = None
 
 
 class PlannerFollower:
-    """Takes in trajectories for a tracker, and keeps the newest one and its fallback."""
+    """Converter of trajectories for a tracker, with the newest trajectory and the fallback."""
 
     def __init__(self, following: Following, controller: Controller) -> None:
         self.following, arm = following, arm_of("tracked_point", following.tracked_point, controller.vehicle)
@@ -134,16 +135,16 @@ class PlannerFollower:
         memory, speeds = records.PLANNED_MEMORY.new(1), records.PlannedSpeeds(*(np.zeros(0),) * 4)
         self.planned = records.Planned(settings, memory, speeds, np.zeros((0, 3)), np.zeros(2 * FAR_PLACES))
         self.fallback: tuple[PlannedTrajectory, float] | None = None
-        """a fallback, and when it arrived (s)"""
+        """fallback and its time of arrival (s)"""
 
     def standing_plan(self) -> tuple[Road, FollowedPlan]:
         """A path of a metre and its plan, for a speed control before the first trajectory."""
         plan = FollowedPlan(np.array([0.0, 1.0]), np.full(2, 0.1), (), self.following.comfort)
         return Road.from_segments([Line(length=1.0)]), plan
 
-    def fresh_fallback(self, now: float) -> PlannedTrajectory | None:
-        """The fallback, unless there is none, or it is stale at a time (s)."""
-        if self.fallback is None or now - self.fallback[1] > self.following.fallback_age:
+    def fresh_fallback(self, time: float) -> PlannedTrajectory | None:
+        """The fallback at a time (s); None if there is none or it is stale."""
+        if self.fallback is None or time - self.fallback[1] > self.following.fallback_age:
             return None
         return self.fallback[0]
 
@@ -153,31 +154,33 @@ class PlannerFollower:
         if not len(fallback.nodes) or fallback.nodes[-1, NODE.leave] < math.inf:
             raise InvalidInput("Tracker.follow: fallback: it must end at rest, with a speed of 0 at its last point.")
 
-    def take(self, trajectory: PlannedTrajectory, now: float, role: int, friction: float, tracker: Any) -> Taken:
-        """Take a trajectory in at a time (s), for a tracker (resident); friction: low end now, for a fallback.
+    def take(
+        self, trajectory: PlannedTrajectory, time: float, role: int, friction: float, tracker: Any
+    ) -> TrajectoryAnswer:
+        """Convert a trajectory that arrives at a time (s) for a tracker (resident).
+
+        friction: low end of the estimate, for a fallback; NaN: unknown.
 
         Raises
         ------
         InvalidInput
             When the trajectory is impossible.
         """
-        given, kept = trajectory.given, len(self.planned.points)
-        length = float(portable.hypot(*np.diff(given[:, 1:3], axis=0).T).sum())
-        memory = np.empty(kernel.trajectory_words(len(given), kept, length))
+        rows = trajectory.given
+        length = float(portable.hypot(*np.diff(rows[:, 1:3], axis=0).T).sum())
+        buffer = np.empty(kernel.trajectory_words(len(rows), len(self.planned.points), length))
         parts = np.empty(len(kernel.PARTS), np.int64)
-        arrival = kernel.Arrival(trajectory.stamp, now, role, int(trajectory.urgent))
-        verdict, status, _ = kernel.take_trajectory(given, arrival, friction, tracker, memory, parts)
+        arrival = kernel.Arrival(trajectory.stamp, time, role, int(trajectory.urgent))
+        verdict, status, _ = kernel.take_trajectory(rows, arrival, friction, tracker, buffer, parts)
         if status not in (OK, condition.REVERSE_AHEAD):
             raise InvalidInput(f"Tracker.follow: {trajectory!r}: no line can be made of its places: they fold back.")
         if VERDICTS[verdict] is not Verdict.TAKEN:
-            return Taken(VERDICTS[verdict], arrival)
-        points, speeds, stops, speeds_at, room, stops_at, path_at = parts.tolist()
-        columns = (memory[speeds_at + k * room :][:speeds] for k in range(4))
-        self.planned = self.planned._replace(
-            speeds=records.PlannedSpeeds(*columns), points=memory[: 3 * points].reshape(points, 3)
-        )
-        line, _ = line_in(memory[path_at:])
+            return TrajectoryAnswer(VERDICTS[verdict], arrival)
+        point_count, place_count, stop_count, speeds_at, room, stops_at, path_at = parts.tolist()
+        speeds = records.PlannedSpeeds(*buffer[speeds_at : speeds_at + 4 * room].reshape(4, room)[:, :place_count])
+        self.planned = self.planned._replace(speeds=speeds, points=buffer[: 3 * point_count].reshape(point_count, 3))
+        line, _ = line_in(buffer[path_at:])
         road = Road(name="trajectory", table=Pieces(line.start.copy(), line.pieces.copy()), closed=False)
-        standing = tuple(Stop(s, math.inf) for s in memory[stops_at:][:stops].tolist())
-        plan = FollowedPlan(self.planned.speeds.s, self.planned.speeds.speed, standing, self.following.comfort)
-        return Taken(Verdict.TAKEN, arrival, road, plan)
+        stops = tuple(Stop(s, math.inf) for s in buffer[stops_at : stops_at + stop_count].tolist())
+        plan = FollowedPlan(speeds.s, speeds.speed, stops, self.following.comfort)
+        return TrajectoryAnswer(Verdict.TAKEN, arrival, road, plan)

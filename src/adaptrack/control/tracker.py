@@ -48,7 +48,7 @@ from adaptrack.core.kernel import Resident, address_of, direct, fields_of
 from adaptrack.core.layout import empty
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
-from adaptrack.core.planned.clock import FUTURE
+from adaptrack.core.planned.clock import MAX_STAMP_LEAD
 from adaptrack.core.planned.records import FALLBACK, PLANNER, Planned
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
@@ -114,8 +114,9 @@ class Tracked(NamedTuple):
     first_top_speed: float = math.inf
     """m/s, below which to drive until the controller has learned its car; then, and without learning, infinite"""
     late: float = math.nan
-    """s, behind the times of the planned trajectory, negative: early; NaN without one"""
+    """s, lateness relative to the planned trajectory, negative: early; NaN without a trajectory"""
     driven_by: DrivenBy = DrivenBy.NOBODY
+    """planner, fallback or stop that decides where the car goes and how fast"""
 
 
 class Timing(NamedTuple):
@@ -158,7 +159,7 @@ class Tracker:
         Controls the speed along the plan: `Tracked.longitudinal` then requests acceleration and force. The status
         decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
     following : Following, optional
-        How trajectories of a planner are followed.
+        Settings for following the trajectories of a planner.
     sample_point : str
         Point of the car whose x and y samples have: "centre of mass", "rear axle" or "front axle".
     furthest : float
@@ -326,23 +327,25 @@ class Tracker:
         fallback: PlannedTrajectory | None = None,
         now: Annotated[Finite, "s"] | None = None,
     ) -> Verdict | None:
-        """Another path from now on, with its plan, or a planner's trajectory; what is learned of the car stays.
+        """Follow a path with its plan, or a planner's trajectory, from now on; the learned state of the car stays.
 
         A path had better begin behind the car, by the age of the oldest samples at least. near: as in `engage`.
 
-        A trajectory is joined to what is followed, wherever it begins, and followed by its times; return what became of
-        it. now: s, when it arrived, on the clock of `step`; by default the time of the last call. fallback: ends at
-        rest, and is followed when the planner falls silent; it stays until another comes. See docs/planner.md.
+        A trajectory is joined to the followed line, wherever it begins, and followed by its times. The result is a
+        verdict. now: s, time of arrival on the clock of `step`; by default the time of the last call. fallback: a
+        trajectory that ends at rest, followed when the planner falls silent; it is valid until a newer one is accepted.
+        See docs/planner.md.
 
         Raises
         ------
         InvalidInput
-            When it is no path, or the trajectory is impossible: the car goes on as before.
+            When the argument is no path, or the trajectory is impossible: the car goes on as before.
         """
         if isinstance(path, PlannedTrajectory):
-            return self._follow_planner(path, fallback, now)
+            return self._follow_planner(path, fallback, float(self._kernel.memory[0].last) if now is None else now)
         self._set_path(path, plan)
-        self._leave_planner()
+        if self._planner is not None:
+            self._start_planner(self._planner.following)
         if plan is None or self._target is None:
             self._target = None if plan is None else SpeedTarget(plan)
         else:
@@ -356,67 +359,63 @@ class Tracker:
         self._call(tracker_apply)
         return None
 
-    def _leave_planner(self) -> None:
-        """Follow no trajectory any more."""
-        if self._planner is not None:
-            self._planner = PlannerFollower(self._planner.following, self.controller)
-            self._load(self._kernel._replace(planned=self._planner.planned))
-            leave_planner(self._resident)
+    def _start_planner(self, following: Following) -> PlannerFollower:
+        """Start to follow a planner, with no trajectory yet."""
+        planner = self._planner = PlannerFollower(following, self.controller)
+        self._load(self._kernel._replace(planned=planner.planned))
+        leave_planner(self._resident)
+        return planner
 
     def _follow_planner(
-        self, trajectory: PlannedTrajectory, fallback: PlannedTrajectory | None, now: float | None
+        self, trajectory: PlannedTrajectory, fallback: PlannedTrajectory | None, arrival_time: float
     ) -> Verdict:
-        """Take a trajectory in, and keep its fallback."""
-        if self._planner is None:
-            self._planner = PlannerFollower(Following(), self.controller)
-            self._load(self._kernel._replace(planned=self._planner.planned))
-            leave_planner(self._resident)
-        if now is None:
-            now = float(self._kernel.memory[0].last)
-        if not math.isfinite(now):
+        """Follow a trajectory of a planner that arrives at a time (s), and store its fallback."""
+        planner = self._planner or self._start_planner(Following())
+        if not math.isfinite(arrival_time):
             raise InvalidInput("Tracker.follow: now: give the time (s) of arrival before the first call of step.")
         if fallback is not None:
-            self._planner.check_fallback(fallback)
-        verdict = self._go_over_to(trajectory, now, PLANNER)
+            planner.check_fallback(fallback)
+        verdict = self._follow_trajectory(planner, trajectory, arrival_time, PLANNER)
         if fallback is not None and verdict in (Verdict.TAKEN, Verdict.SAME):
-            self._planner.fallback = fallback, now
+            planner.fallback = fallback, arrival_time
         offset = float(self._kernel.planned.memory[0].clock_offset)
-        if abs(offset) > FUTURE:
+        if abs(offset) > MAX_STAMP_LEAD:
             self._warn_once("clock", "the clock of the planner differs: %.3g s are added to its stamps.", offset)
         if verdict in (Verdict.STALE, Verdict.EARLY, Verdict.OLDER):
             self._warn_once(verdict, "a trajectory was refused, it is %s: its stamp is %.3f s, it arrived at %.3f s; "
-                            "see docs/planner.md.", verdict, trajectory.stamp, now)  # fmt: skip
+                            "see docs/planner.md.", verdict, trajectory.stamp, arrival_time)  # fmt: skip
         return verdict
 
-    def _go_over_to(self, trajectory: PlannedTrajectory, now: float, role: int) -> Verdict:
-        """Take a trajectory in, as a planner's or as a fallback, and follow it unless the verdict is another."""
-        assert self._planner is not None
+    def _follow_trajectory(
+        self, planner: PlannerFollower, trajectory: PlannedTrajectory, arrival_time: float, role: int
+    ) -> Verdict:
+        """Follow a trajectory if its verdict is `Verdict.TAKEN`; role: `PLANNER` or `FALLBACK`."""
         low = math.nan if self._speed is None else self._speed.command.friction_low
-        taken = self._planner.take(trajectory, now, role, low, self._resident)
-        if taken.road is not None:
-            self.path, self.plan, self._target = taken.road, taken.plan, None
+        answer = planner.take(trajectory, arrival_time, role, low, self._resident)
+        if answer.road is not None:
+            self.path, self.plan, self._target = answer.road, answer.plan, None
             if self._speed is not None:
-                self._speed.follow(taken.road, taken.plan, stop_at_end=False)
-            planned = {"plan": packed_plan(taken.plan), "planned": self._planner.planned}
-            self._load(self._kernel._replace(path=pack_roads([taken.road]), **planned))
-            begin_trajectory(taken.arrival, self._resident)
+                self._speed.follow(answer.road, answer.plan, stop_at_end=False)
+            self._load(self._kernel._replace(
+                path=pack_roads([answer.road]), plan=packed_plan(answer.plan), planned=planner.planned,
+            ))  # fmt: skip
+            begin_trajectory(answer.arrival, self._resident)
             self._call(tracker_apply)
-        return taken.verdict
+        return answer.verdict
 
-    def _do_without_planner(self, now: float) -> None:
-        """Follow the fallback of a planner that has fallen silent; without one that fits, the car stops."""
-        assert self._planner is not None
-        silence, why = self._planner.following.silence, "it has left no fallback that is fresh enough"
-        if (fallback := self._planner.fresh_fallback(now)) is not None:
-            why = "its fallback does not begin at the car, or asks for more grip than is assumed"
+    def _follow_fallback(self, planner: PlannerFollower, call_time: float) -> None:
+        """Follow the fallback of a planner that has fallen silent; if none fits, the car stops."""
+        silence, reason = planner.following.silence, "it has left no fallback that is fresh enough"
+        if (fallback := planner.fresh_fallback(call_time)) is not None:
+            reason = "its fallback does not begin at the car, or asks for more grip than is assumed"
             try:
-                verdict = self._go_over_to(fallback, now, FALLBACK)
-            except InvalidInput as error:  # a step goes on whatever a planner has sent
-                verdict, why = Verdict.UNFIT, str(error)
+                verdict = self._follow_trajectory(planner, fallback, call_time, FALLBACK)
+            except InvalidInput as error:  # a step never fails because of a trajectory
+                verdict, reason = Verdict.UNFIT, str(error)
             if verdict is Verdict.TAKEN:
                 _log.warning("adaptrack: no trajectory for %.2g s: the car follows the fallback.", silence)
                 return
-        _log.warning("adaptrack: no trajectory for %.2g s: the car stops along the last one, %s.", silence, why)
+        _log.warning("adaptrack: no trajectory for %.2g s: the car stops along the last one, %s.", silence, reason)
 
     def release(self) -> None:
         """Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays.
@@ -484,7 +483,7 @@ class Tracker:
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
         if self._planner is not None and watch_planner(at, self._resident):
-            self._do_without_planner(at)
+            self._follow_fallback(self._planner, at)
             kernel = self._kernel
         kernel.sample[:] = row
         self._call(tracker_step)

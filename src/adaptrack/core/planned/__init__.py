@@ -1,6 +1,6 @@
-"""Following a planner: trajectories that come anew while the car drives, their clocks, and who drives when they fail.
+"""Follow the trajectories of a planner, each of which replaces the one before while the car drives.
 
-A trajectory is taken in whole (`take`): its stamp is put on the clock of the tracker, its points become places with
-times (`condition`), and these are joined to the line that the car follows (`splice`). The car then steers by its place
-and drives by the time (`timing`). A planner that falls silent gives way to a fallback (`who_drives`).
+`clock` converts the stamp of a trajectory to the clock of the tracker. `condition` turns its points into places with
+times and speeds. `splice` joins these to the line that the car follows. The car steers by its position on the new line,
+and `timing` corrects its speed by the time. `meant_line` detects a planner that hides the error of the controller.
 """

@@ -1,7 +1,8 @@
-"""Stamps of a planner on the clock of the tracker: which trajectories are in time, and how much the clocks differ.
+"""Clocks of the planner and the tracker: convert stamps, and refuse those that are too old or in the future.
 
-What two clocks differ by and what a message takes on its way cannot be told apart by stamps. So stamps that are in time
-count as those of one clock, unless an offset is told; the offset of others is the least delay of their arrivals.
+A stamp cannot separate the offset of two clocks from the delay of a message. Stamps in the accepted range therefore
+count as those of one clock, unless the settings have an offset. Otherwise the offset is the least delay of the
+arrivals.
 """
 
 from __future__ import annotations
@@ -12,20 +13,20 @@ from ..kernel import inlined
 from ..maths.exact import clip
 
 (TAKEN, SAME, OLDER, STALE, EARLY, SILENT, WAITING, UNFIT) = range(8)
-"""Verdicts on a trajectory: it is followed; it has the shape of the one that is followed; it is older than that; its
-stamp is too old, or in the future; it has no points; the planner has been silent, and this is not yet enough; a
-fallback does not begin at the car, asks for too much grip, or is stale."""
-FUTURE = 0.1
-"""s, by which a stamp may be in the future; and difference of two clocks from which it is named."""
-CONSISTENT = 3
-"""Stamps in a row of another clock, after which it is believed."""
-CLOCK_DRIFT = 1e-4
-"""s/s, by which two clocks may run apart."""
+"""Verdicts on a trajectory: it is followed; it repeats the one that is followed; its stamp is older than that one's;
+its stamp is too old; its stamp is in the future; it has no points; the planner was silent and has sent too few since; a
+fallback does not begin at the car, needs too much grip, or is stale."""
+MAX_STAMP_LEAD = 0.1
+"""s, by which a stamp may be in the future; also the offset of two clocks from which it is reported."""
+MIN_CONSISTENT_STAMPS = 3
+"""Stamps in a row with a new offset, from which on this offset is used."""
+MAX_CLOCK_DRIFT = 1e-4
+"""s/s, of one clock relative to the other."""
 
 
 @inlined
 def forget_planner(memory):
-    """Begin without a trajectory, and without a clock of the planner."""
+    """Reset the memory of a planner: no trajectory, no offset of the clocks."""
     memory.driven_by, memory.late, memory.target_speed, memory.debt = 0, math.nan, math.nan, 0.0
     memory.correction, memory.top_speed, memory.is_leaving = 0.0, math.inf, 0
     memory.clock_offset, memory.stamp, memory.arrival, memory.other_stamps = math.nan, -math.inf, -math.inf, 0
@@ -33,36 +34,35 @@ def forget_planner(memory):
 
 
 @inlined
-def _offset(settings, memory):
-    """s, to add to the planner's stamps."""
-    told = settings.clock_offset if settings.clock_offset == settings.clock_offset else 0.0
-    return memory.clock_offset if memory.clock_offset == memory.clock_offset else told
+def _is_accepted(age, settings):
+    """Whether a stamp of some age (s) is neither too old nor in the future."""
+    return -MAX_STAMP_LEAD <= age <= settings.oldest
 
 
 @inlined
-def place_stamp(stamp, arrival, settings, memory):
-    """Return the verdict on a stamp (s) that arrives at a time (s), and that stamp on the tracker's clock.
+def convert_stamp(stamp, arrival, settings, memory):
+    """Return the verdict on a stamp (s), and the stamp on the tracker's clock (s); arrival: s, on the tracker's clock.
 
-    A stamp of 0, or none, is that of the arrival. Stamps that fit no clock so far are refused until so many in a row
-    (`CONSISTENT`) agree with each other: it is another clock, or the planner has begun its own anew.
+    A stamp of 0 or NaN stands for the time of arrival. Stamps beyond the accepted range are refused, until
+    `MIN_CONSISTENT_STAMPS` in a row agree with each other. Then the planner has a new clock.
     """
     if stamp == 0.0 or stamp != stamp:
         return TAKEN, arrival
-    delay = arrival - stamp  # of the message, and the offset of the clocks
-    since = delay - memory.clock_offset
-    if -FUTURE <= since <= settings.oldest:  # an offset that was found
-        allowed = CLOCK_DRIFT * clip(arrival - memory.arrival, 0.0, 1.0)
-        memory.clock_offset = min(memory.clock_offset + allowed, delay)
-    offset = _offset(settings, memory)
+    delay = arrival - stamp  # of the message, plus the offset of the clocks
+    if _is_accepted(delay - memory.clock_offset, settings):  # the offset is estimated
+        drift = MAX_CLOCK_DRIFT * clip(arrival - memory.arrival, 0.0, 1.0)
+        memory.clock_offset = min(memory.clock_offset + drift, delay)
+    offset = memory.clock_offset
+    if offset != offset:
+        offset = settings.clock_offset if settings.clock_offset == settings.clock_offset else 0.0
     age = delay - offset
-    if -FUTURE <= age <= settings.oldest:
+    if _is_accepted(age, settings):
         memory.other_stamps = 0
         return OLDER if stamp < memory.stamp else TAKEN, stamp + offset
-    beyond = delay - memory.other_offset
-    agrees = memory.other_stamps > 0 and -FUTURE <= beyond <= settings.oldest
-    memory.other_stamps = memory.other_stamps + 1 if agrees else 1
-    memory.other_offset = min(memory.other_offset, delay) if agrees else delay
-    if memory.other_stamps < CONSISTENT:
+    is_consistent = memory.other_stamps > 0 and _is_accepted(delay - memory.other_offset, settings)
+    memory.other_stamps = memory.other_stamps + 1 if is_consistent else 1
+    memory.other_offset = min(memory.other_offset, delay) if is_consistent else delay
+    if memory.other_stamps < MIN_CONSISTENT_STAMPS:
         return EARLY if age < 0.0 else STALE, arrival
     memory.clock_offset, memory.stamp, memory.other_stamps = memory.other_offset, -math.inf, 0
     return TAKEN, stamp + memory.clock_offset

@@ -1,7 +1,8 @@
-"""Whether a planner hides the error of the controller: it begins each trajectory at the car, wherever that is.
+"""Detect a planner that hides the error of the controller by starting each trajectory at the measured pose.
 
-The line that was meant is that of places seconds ahead in earlier trajectories, where these have come back to it. A car
-that stays beside that line, while each new trajectory says that it is right, will not come back to it.
+Trajectories of such a planner begin at the car and return to the intended line seconds ahead. The intended line is
+therefore taken from places seconds ahead in earlier trajectories. The error is hidden if the car stays away from this
+line while each new trajectory shows little offset.
 """
 
 from __future__ import annotations
@@ -13,73 +14,73 @@ from ..maths.exact import clip
 from ..maths.exponential import hypot
 
 FAR_PLACES = 48
-"""Places ahead that are kept."""
+"""Number of places of the intended line that are stored."""
 FAR_TIME, FAR_SHARE, FAR_STEP = 3.0, 0.8, 1.0
-"""s ahead, at most this share of a trajectory; m, between two places that are kept."""
-MEANT_TIME = 0.7
-"""s, time constant of the two offsets."""
-HIDDEN_OFFSET, HIDDEN_SIGMAS, SHOWN_SHARE = 0.15, 3.0, 0.5
-"""m, standard deviations of a position, -: a larger offset is hidden where the trajectory shows less than this share.
-"""
-HIDDEN_TIME = 2.5
-"""s, for which it is hidden until it is reported."""
+"""s, -, m: time ahead of a stored place, its largest share of the trajectory, and distance between two such places."""
+OFFSET_TIME_CONSTANT = 0.7
+"""s, of the filter of both offsets."""
+MIN_HIDDEN_OFFSET, HIDDEN_SIGMAS, MAX_SHOWN_SHARE = 0.15, 3.0, 0.5
+"""m, standard deviations of a measured position, -: an offset beyond the first two is hidden if the new trajectory
+shows less than this share of it."""
+MIN_HIDDEN_TIME = 2.5
+"""s, for which an offset must be hidden before it is reported."""
 
 
 @inlined
-def _drop(count, far, memory):
-    """Forget the oldest places."""
+def _drop_oldest_places(count, places, memory):
+    """Forget so many of the stored places."""
     for i in range(2 * (memory.far_count - count)):
-        far[i] = far[i + 2 * count]
+        places[i] = places[i + 2 * count]
     memory.far_count -= count
 
 
 @inlined
-def remember_place(x, y, far, memory):
-    """Keep a place (m, m) that a trajectory means to reach in seconds."""
-    last = 2 * memory.far_count
-    if last > 0 and hypot(x - far[last - 2], y - far[last - 1]) < FAR_STEP:
+def remember_place(x, y, places, memory):
+    """Store a place (m, m) of the intended line, unless it is near the last one."""
+    end = 2 * memory.far_count
+    if end > 0 and hypot(x - places[end - 2], y - places[end - 1]) < FAR_STEP:
         return
-    if last == far.size:
-        _drop(1, far, memory)
-        last -= 2
-    far[last], far[last + 1] = x, y
+    if end == places.size:
+        _drop_oldest_places(1, places, memory)
+        end -= 2
+    places[end], places[end + 1] = x, y
     memory.far_count += 1
 
 
 @inlined
-def _offset_from(x, y, far, memory):
-    """Offset (m) of a point to the left of the line through the places; NaN where it is not beside it.
+def _offset_from_places(x, y, places, memory):
+    """Offset (m) of a point to the left of the line through the stored places; NaN before its start or after its end.
 
-    Places that lie behind are forgotten.
+    Places well behind the point are forgotten.
     """
-    offset, passed = math.nan, 0
+    offset, segment = math.nan, 0
     for k in range(memory.far_count - 1):
-        ax, ay = far[2 * k], far[2 * k + 1]
-        dx, dy = far[2 * k + 2] - ax, far[2 * k + 3] - ay
-        way = hypot(dx, dy)
-        along = ((x - ax) * dx + (y - ay) * dy) / way
-        if 0.0 <= along <= way:
-            offset, passed = ((y - ay) * dx - (x - ax) * dy) / way, k
-    if passed > 1:
-        _drop(passed - 1, far, memory)
+        start_x, start_y = places[2 * k], places[2 * k + 1]
+        dx, dy = places[2 * k + 2] - start_x, places[2 * k + 3] - start_y
+        length = hypot(dx, dy)
+        along = ((x - start_x) * dx + (y - start_y) * dy) / length
+        if 0.0 <= along <= length:
+            offset, segment = ((y - start_y) * dx - (x - start_x) * dy) / length, k
+    if segment > 1:
+        _drop_oldest_places(segment - 1, places, memory)
     return offset
 
 
 @inlined
-def hides_error(x, y, given_offset, elapsed, settings, far, memory):
-    """Whether trajectories have hidden an offset of the car for long; x, y: m, of the car.
+def hides_error(x, y, trajectory_offset, elapsed, settings, places, memory):
+    """Whether the trajectories have hidden an offset of the car at (x, y), in m, for `MIN_HIDDEN_TIME`.
 
-    given_offset: m, of the car from the newest trajectory; elapsed: s, since the one before.
+    trajectory_offset: m, of the car from the newest trajectory; elapsed: s, since the trajectory before.
     """
-    meant = _offset_from(x, y, far, memory)
-    if not math.isfinite(meant + given_offset):
+    meant_offset = _offset_from_places(x, y, places, memory)
+    if not math.isfinite(meant_offset + trajectory_offset):
         memory.hidden = 0.0
         return False
-    share = clip(elapsed / MEANT_TIME, 0.0, 1.0)
-    memory.meant_offset += share * (meant - memory.meant_offset)
-    memory.given_offset += share * (given_offset - memory.given_offset)
-    least = max(HIDDEN_OFFSET, HIDDEN_SIGMAS * settings.position_noise)
-    is_hidden = abs(memory.meant_offset) > least
-    is_hidden = is_hidden and abs(memory.given_offset) < SHOWN_SHARE * abs(memory.meant_offset)
+    share = clip(elapsed / OFFSET_TIME_CONSTANT, 0.0, 1.0)
+    memory.meant_offset += share * (meant_offset - memory.meant_offset)
+    memory.given_offset += share * (trajectory_offset - memory.given_offset)
+    size = abs(memory.meant_offset)
+    is_large = size > max(MIN_HIDDEN_OFFSET, HIDDEN_SIGMAS * settings.position_noise)
+    is_hidden = is_large and abs(memory.given_offset) < MAX_SHOWN_SHARE * size
     memory.hidden = memory.hidden + elapsed if is_hidden else 0.0
-    return memory.hidden > HIDDEN_TIME
+    return memory.hidden > MIN_HIDDEN_TIME
