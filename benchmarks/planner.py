@@ -2,13 +2,13 @@
 
     python benchmarks/planner.py [--cases i ii ... ix swerve] [--drives 10] [--cars sedan van sheet] [--profiles road]
     python benchmarks/planner.py --tracker before      each trajectory as a new path and plan, without its times
-    python benchmarks/planner.py --tracker autoware-spatial | autoware-temporal     see examples/plugins
+    python benchmarks/planner.py --tracker autoware-spatial | autoware-temporal     with examples/plugins in PYTHONPATH
 
 Seed 5711 reports (roads, sensors and planners of all drives follow from it); seeds 5700 to 5710 were for choosing. Each
 drive of a car and profile has its own road, in turn of a country, a town and mountains, at up to 15 m/s. The controller
-of `sheet` knows mass and wheelbase of the sedan alone, and learns. RMS: root mean square (m) of the offset from the line
-that was meant, from 3 s on; in brackets over that of the same drive along one fixed path with the same noise. Of other
-measures the table has the mean over the drives and, in brackets, the largest.
+of `sheet` knows mass and wheelbase of the sedan alone, and learns. RMS: root mean square of the offset from the line
+that was meant (m), from 3 s on; in brackets over that of the informed MPC along one fixed path with the same noise. Of
+other measures the table has the mean over the drives and, in brackets, the largest.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from importlib import import_module
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -32,7 +33,7 @@ from adaptrack.control.following import Following
 from adaptrack.control.kalman import Drifts
 from adaptrack.core.planned.records import GIVEN
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
-from adaptrack.drive.planner import Arrivals, PlannedAnswer, PlannedController, SimulatedPlanner, arrival_times
+from adaptrack.drive.planner import Arrivals, PlannedController, SimulatedPlanner, arrival_times
 from adaptrack.road import Arc, Comfort, Line, Road, SpeedPlan, plan_speed
 from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.speed import constant_speed
@@ -221,7 +222,7 @@ class PathTracker:
         try:
             path = at.road_through(points[kept])
             length = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[kept], axis=0).T)))
-            t, speed = trajectory.given[kept][:, [0, 4]].T
+            t, speed = trajectory.given[kept, 0], np.minimum.reduceat(trajectory.given[:, 4], np.flatnonzero(kept))
             plan = SpeedPlan(
                 length * path.length / length[-1], speed, t - t[0], float(t[-1] - t[0]), False, COMFORT
             )  # fmt: skip
@@ -247,9 +248,9 @@ class WatchedController(PlannedController):
         """Return a tracker at the start of a drive."""
         self.suspected: list[tuple[float, str]] = []
         self.driven_by: list[str] = []
-        return TRACKERS[self.kind](self) if self.kind in TRACKERS else super().make_tracker()
+        return TRACKERS[self.kind](self)
 
-    def answer(self, sample: Any) -> PlannedAnswer:
+    def answer(self, sample: Any) -> Any:
         """Answer, and note."""
         answer = super().answer(sample)
         now, known = float(sample[TRACKER_SAMPLE.now]), {text for _, text in self.suspected}
@@ -271,8 +272,20 @@ class FixedPath:
         return []
 
 
+def autoware(mode: str) -> Callable[[WatchedController], Any]:
+    """Autoware's structure in a mode."""
+    return lambda controller: import_module("autoware_follow").AutowareFollow(
+        controller.speed.car, controller.profile, mode
+    )
+
+
 TRACKERS: dict[str, Callable[[WatchedController], Any]] = {
+    "autoware-spatial": autoware("spatial"),
+    "autoware-temporal": autoware("temporal"),
     "before": lambda controller: PathTracker(controller.controller, controller.speed),
+    "planned": lambda controller: at.Tracker(
+        controller.controller, speed=controller.speed, following=controller.following
+    ),
     "fixed": lambda controller: at.Tracker(
         controller.controller, controller.drive.road, plan=controller.drive.plan, speed=controller.speed
     ),
@@ -282,7 +295,7 @@ TRACKERS: dict[str, Callable[[WatchedController], Any]] = {
 class DirectBraking(WatchedController):
     """A controller that requests the same deceleration directly, as soon as the planner would."""
 
-    def answer(self, sample: Any) -> PlannedAnswer:
+    def answer(self, sample: Any) -> Any:
         """Answer with the request."""
         answer = super().answer(sample)
         if sample[TRACKER_SAMPLE.now] < EVENT:
@@ -292,7 +305,8 @@ class DirectBraking(WatchedController):
         request = answer.longitudinal._replace(
             acceleration=-HARD_BRAKING, force=0.0 if stands else force, hold=-force if stands else 0.0
         )
-        return answer._replace(longitudinal=request)
+        answer.longitudinal = request
+        return answer
 
 
 class Driven(NamedTuple):
@@ -324,8 +338,9 @@ def drive(
     kind: type[WatchedController] = WatchedController, following: Following | None = None,
 ) -> Driven:  # fmt: skip
     """Simulate a drive; planner: None for one fixed path."""
-    controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath(), following)
-    controller.drive, controller.kind = road_drive, "fixed" if planner is None else tracker
+    controller = kind(group.controller(with_drifts), at.SpeedControl(group.known), planner or FixedPath())
+    controller.drive, controller.profile, controller.following = road_drive, group.profile, following or Following()
+    controller.kind = "fixed" if planner is None else tracker
     run = at.simulate(at.DualTrack(group.vehicle), controller, road_drive, profile=group.profile, seed=seed)
     return Driven(run, controller, road_drive)
 
@@ -517,7 +532,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=REPORTED_SEED)
     parser.add_argument("--cars", nargs="+", default=list(CARS), choices=CARS)
     parser.add_argument("--profiles", nargs="+", default=PROFILES)
-    parser.add_argument("--tracker", default="planned", choices=["planned", *TRACKERS])
+    parser.add_argument("--tracker", default="planned", choices=TRACKERS)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
     names = [name for name in CASES if name in arguments.cases or name.partition("-")[0] in arguments.cases]

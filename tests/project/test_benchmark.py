@@ -39,7 +39,8 @@ QUICK = (
     "against_release.py . --only arrays/road-geometry --folder {folder}",
     "circuits.py --made 1 --no-holds --car midsize-sedan --profile road --lateral 4 --seed 5",
     "code_figures.py --table", "estimating.py --runs 1", "foreign_loop.py --seeds 1", "holding.py --drives 3",
-    "late_samples.py late --drives 1", "learned_belief.py --train 28 --test 4", "population.py --cars 10",
+    "late_samples.py late --drives 1", "learned_belief.py --train 28 --test 4",
+    "planner.py --cases swerve --drives 1 --cars sedan", "population.py --cars 10",
     "roads_driven.py gate --length 300 --car paper", "tuned_cars.py --vehicle van --profile road",
     "unknown_cars.py --cars 2 --profile road", "wrong_inputs.py honest --drives 1",
 )  # fmt: skip

@@ -1,12 +1,14 @@
-"""A simulated planner, and a tracker that follows one, as the controller of a simulated drive."""
+"""Trackers as controllers of simulated drives, and a simulated planner that they follow."""
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from operator import itemgetter
-from typing import Annotated, Any, Literal, NamedTuple
+from types import SimpleNamespace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +17,14 @@ from adaptrack.base.checked import Natural, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Controller
 from adaptrack.control.following import Following
-from adaptrack.control.speed_control import SpeedCommand, SpeedControl
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.maths import portable
+from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE, sample_of
-from adaptrack.drive.sampled_controller import SampledController
 from adaptrack.road import SpeedPlan
 from adaptrack.road.planned_trajectory import PlannedTrajectory
+from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, Scenario
 
 Array = NDArray[np.float64]
@@ -172,12 +175,37 @@ class _SimulatedTracker(Tracker):
         pass
 
 
-class PlannedAnswer(NamedTuple):
-    """Answer of a `PlannedController`."""
+class SampledController(Controller):
+    """Base of controllers that answer samples of a tracker: pose in the plane, motion, and the times of both."""
 
-    angle: float
-    longitudinal: SpeedCommand
-    diagnostics: Mapping[str, float]
+    period: float
+    sees_all_sensors = True
+    instant = 0
+    """Index of the next control instant."""
+
+    @abstractmethod
+    def answer(self, sample: Array) -> Any:
+        """Return the answer to a sample (`core.tracker.signals.TRACKER_SAMPLE`), as `Controller.step` does."""
+
+    def step(
+        self, state: Any, speed: float, reference: Any, variables: Any = None, road: RoadAhead | None = None
+    ) -> Any:
+        time, measured = self.instant * self.period, np.asarray(state, dtype=float)
+        assert road is not None
+        age = float(measured[MEASUREMENT.pose_age])
+        age = age if math.isfinite(age) else 0.0
+        foot = road.road.at(road.station - age * speed)
+        offset, yaw = float(measured[MEASUREMENT.y]), float(foot.heading) + float(measured[MEASUREMENT.yaw])
+        x, y = float(foot.x) - offset * portable.sin(foot.heading), float(foot.y) + offset * portable.cos(foot.heading)
+        signals = [float(measured[i]) for i in (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration)]
+        sample = np.full(len(TRACKER_SAMPLE), math.nan)
+        sample[: TRACKER_SAMPLE.friction] = (
+            time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle],
+        )  # fmt: skip
+        motion_age = float(measured[MEASUREMENT.motion_age])
+        sample[TRACKER_SAMPLE.motion_time] = time - (motion_age if math.isfinite(motion_age) else 0.0)
+        self.instant += 1
+        return self.answer(sample)
 
 
 class PlannedController(SampledController):
@@ -187,19 +215,22 @@ class PlannedController(SampledController):
     tracker: Tracker
     """Tracker of the present drive."""
 
-    def __init__(
-        self, controller: Controller, speed: SpeedControl, planner: SimulatedPlanner, following: Following | None = None
-    ) -> None:
-        self.controller, self.speed, self.planner, self.following = controller, speed, planner, following
-        self.name, self.period, self.limits = controller.name, controller.period, controller.limits
-        self.vehicle, self.belief = controller.vehicle, None if controller.learner is not None else controller.belief
+    def __init__(self, controller: Controller, speed: SpeedControl, planner: SimulatedPlanner) -> None:
+        self.controller, self.speed, self.planner = controller, speed, planner
+        self.period, self.limits, self.vehicle = controller.period, controller.limits, controller.vehicle
+        self.belief = None if controller.learner is not None else controller.belief
+
+    @property
+    def name(self) -> str:
+        """Name of the controller behind the tracker."""
+        return str(self.controller.name)
 
     def describe(self) -> dict[str, Any]:
         return {**self.controller.describe(), "planner": str(self.planner)}
 
     def make_tracker(self) -> Tracker:
         """Return a tracker at the start of a drive."""
-        return _SimulatedTracker(self.controller, speed=self.speed, following=self.following or Following())
+        return _SimulatedTracker(self.controller, speed=self.speed, following=Following())
 
     def begin(self, drive: Scenario | RoadDrive) -> None:
         """Begin a drive; raises `InvalidInput` if it has no road."""
@@ -208,9 +239,10 @@ class PlannedController(SampledController):
         self.controller.reset()
         self.instant, self.tracker, self._run = 0, self.make_tracker(), self.planner.begin(drive)
 
-    def answer(self, sample: Array) -> PlannedAnswer:
+    def answer(self, sample: Array) -> SimpleNamespace:
         for trajectory, fallback in self._run.step(sample):
             self.tracker.follow(trajectory, fallback=fallback, now=float(sample[TRACKER_SAMPLE.now]))
         signals = dict(zip(TRACKER_SAMPLE._fields, sample.tolist(), strict=True))
         tracked = self.tracked = self.tracker.step(**{name: signals[name] for name in _SIGNALS})
-        return PlannedAnswer(tracked.command, tracked.longitudinal, {"late": getattr(tracked, "late", math.nan)})
+        late = {"late": tracked.late}
+        return SimpleNamespace(angle=tracked.command, longitudinal=tracked.longitudinal, diagnostics=late)

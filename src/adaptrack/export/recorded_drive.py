@@ -23,7 +23,7 @@ from adaptrack.core.maths import portable
 from adaptrack.core.tracker.signals import MEASURED, TRACKED
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.failure import find_failure
-from adaptrack.drive.sampled_controller import SampledController
+from adaptrack.drive.planner import SampledController
 from adaptrack.drive.simulate import simulate
 from adaptrack.export.tracking import SpeedPart, Twin
 from adaptrack.road import Along, Road, SpeedPlan, Stop, plan_speed, road_through
