@@ -56,9 +56,9 @@ def shim(folder, speed_control=False, follow="path"):
 
 
 @cache
-def node(folder):
+def node(folder, follow="path"):
     """The node as a program, on stand-ins."""
-    parts, library = controller(folder), folder / "node"
+    parts, library = controller(folder, follow=follow), folder / "node"
     with_all = "-DADAPTRACK_WITH_TRAJECTORY", "-DADAPTRACK_WITH_CONTROL", "-Dmain=node_main"
     options = [*STRICT, "-O0", *with_all, *includes(folder)]
     run_program("g++", *options, "-c", CPP / "src" / "follower_node.cpp", "-o", folder / "node.o")

@@ -683,11 +683,11 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
     ("pose_message", "tf", "motion_message", "geometry_msgs/TwistStamped"),
     ("pose_message", "geometry_msgs/PoseStamped", "motion_message", "geometry_msgs/TwistStamped",
      "drive_message", "autoware_control_msgs/Control"),
+    ("path_message", "autoware_planning_msgs/Trajectory", "follow", "trajectory"),
 ])  # fmt: skip
-def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
-    report = dict(
-        line.split("=", 1) for line in run_program(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
-    )
+def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options, tmp_path):
+    node = cpp[0].node(tmp_path, "trajectory") if "follow" in options else cpp[0].node(folder)
+    report = dict(line.split("=", 1) for line in run_program(str(node), *options).splitlines() if "=" in line)
     assert int(report["commands"]) == pytest.approx(80, abs=2)
     assert (report["frame"], report["level"], report["message"]) == ("base_link", "0", "following")
     assert float(report["speed"]) > (3.5 if "path_message" in options else 4.5)
