@@ -56,9 +56,9 @@ def shim(folder, speed_control=False, follow="path"):
 
 
 @cache
-def node(folder):
+def node(folder, follow="path"):
     """The node as a program, on stand-ins."""
-    parts, library = controller(folder), folder / "node"
+    parts, library = controller(folder, follow=follow), folder / "node"
     with_all = "-DADAPTRACK_WITH_TRAJECTORY", "-DADAPTRACK_WITH_CONTROL", "-Dmain=node_main"
     options = [*STRICT, "-O0", *with_all, *includes(folder)]
     run_program("g++", *options, "-c", CPP / "src" / "follower_node.cpp", "-o", folder / "node.o")
@@ -104,9 +104,9 @@ class CppFollower:
         values, frame = module.motion_of(message), module.frame_of_motion(message).encode()
         self._library.ros_motion(self._made, *map(ctypes.c_double, values), frame)
 
-    def path(self, message, now=None):
+    def path(self, message, time=None):
         if self.parameters.follow == "trajectory":
-            self._follow_trajectory(message, now)
+            self._follow_trajectory(message, time)
             return
         if hasattr(message, "points"):
             rows = [(point.longitudinal_velocity_mps, point.pose) for point in message.points]
@@ -117,7 +117,7 @@ class CppFollower:
         flat = [value for first, pose in rows for value in (first, pose.position.x, pose.position.y)]
         give(self._made, numbers(flat), ctypes.c_size_t(len(rows)), message.header.frame_id.encode())
 
-    def _follow_trajectory(self, message, now):
+    def _follow_trajectory(self, message, time):
         stamp, is_path = seconds(message.header.stamp), hasattr(message, "poses")
         rows = [
             (seconds(point.header.stamp) - stamp if is_path else seconds(point.time_from_start),
@@ -127,7 +127,7 @@ class CppFollower:
         ]  # fmt: skip
         self._library.ros_planned(
             self._made, numbers(np.ravel(rows)), ctypes.c_size_t(len(rows)), ctypes.c_double(stamp),
-            ctypes.c_double(now), int(is_path), message.header.frame_id.encode(),
+            ctypes.c_double(time), int(is_path), message.header.frame_id.encode(),
         )  # fmt: skip
 
     def engage(self, on, wheel_angle=0.0):

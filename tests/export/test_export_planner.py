@@ -42,9 +42,9 @@ class CTrajectory(ctypes.Structure):
     _fields_ = (("points", ctypes.c_void_p), ("count", ctypes.c_size_t), ("stamp", ctypes.c_double),
                 ("now", ctypes.c_double), ("is_urgent", ctypes.c_int))  # fmt: skip
 
-    def __init__(self, given, stamp=0.0, now=math.nan, urgent=False):
-        self.given = np.ascontiguousarray(given, float)
-        super().__init__(self.given.ctypes.data, len(given), stamp, now, int(urgent))
+    def __init__(self, rows, stamp=0.0, time=math.nan, urgent=False):
+        self.rows = np.ascontiguousarray(rows, float)
+        super().__init__(self.rows.ctypes.data, len(rows), stamp, time, int(urgent))
 
 
 def answer_of(has_speed):
@@ -80,9 +80,9 @@ class CPlannerTracker(CTracker):
     def follow_trajectory(self, trajectory, fallback=None):
         """Error, verdict and the number of the impossible point."""
         verdict, flaw = ctypes.c_int(-1), ctypes.c_size_t(99)
-        kept = None if fallback is None else ctypes.byref(fallback)
+        spare = None if fallback is None else ctypes.byref(fallback)
         error = self.c.adaptrack_follow_trajectory(
-            self.place, ctypes.byref(trajectory), kept, ctypes.byref(verdict), ctypes.byref(flaw)
+            self.place, ctypes.byref(trajectory), spare, ctypes.byref(verdict), ctypes.byref(flaw)
         )
         return error, verdict.value, flaw.value
 
@@ -118,7 +118,7 @@ def python_tracker(library):
 
 
 # -- trajectories -----------------------------------------------------------------------------------------------------
-def cut(station, now, *, stamp=None, aside=0.0, noise=None, speeds=None, urgent=False):
+def cut(station, time, *, stamp=None, aside=0.0, noise=None, speeds=None, urgent=False):
     """What a planner sends: the path from a station (m) on; speeds: (n,) m/s every 0.1 s."""
     speeds = np.full(40, SPEED) if speeds is None else speeds
     t = 0.1 * np.arange(speeds.size)
@@ -127,7 +127,7 @@ def cut(station, now, *, stamp=None, aside=0.0, noise=None, speeds=None, urgent=
     x, y = place.x - aside * np.sin(place.heading), place.y + aside * np.cos(place.heading)
     if noise is not None:
         x, y = x + 0.05 * noise.normal(size=t.size), y + 0.05 * noise.normal(size=t.size)
-    stamp = now if stamp is None else stamp
+    stamp = time if stamp is None else stamp
     return PlannedTrajectory(t, x, y, speed=speeds, stamp=stamp, urgent=urgent)
 
 
@@ -144,25 +144,25 @@ def halting(k):
 
 def sent(k, station, rng):
     """Trajectory and fallback of a call of the long drive; None: silence."""
-    now, fallback = PERIOD * k, None
+    time, fallback = PERIOD * k, None
     if k % 2 or 130 <= k < 137 or 180 <= k < 216 or 340 <= k < 400:
         return None, None
     if k < 280:
-        fallback = cut(station - 0.3, now, speeds=braking(SPEED))
+        fallback = cut(station - 0.3, time, speeds=braking(SPEED))
     if k % 50 == 6:
         return PlannedTrajectory([], [], []), None
     if k % 50 == 8:  # the planner of 0.4 s ago, and one of 3 s ago
-        return cut(station - 4.0, now, stamp=now - (0.4 if k % 100 == 8 else 3.0)), fallback
+        return cut(station - 4.0, time, stamp=time - (0.4 if k % 100 == 8 else 3.0)), fallback
     if k % 50 == 10:
-        return cut(station, now, stamp=now + 0.5), fallback
+        return cut(station, time, stamp=time + 0.5), fallback
     late = 0.02 * rng.random()
     if 240 <= k < 300:
         late -= 1000.0  # another clock
     if k >= 420:
-        return cut(station, now, stamp=now - late, speeds=halting(k - 420)), fallback
+        return cut(station, time, stamp=time - late, speeds=halting(k - 420)), fallback
     aside = 0.15 if k % 4 else -0.15  # two planners in turn
     noise = rng if k < 80 else None
-    return cut(station - 10.0 * late * (late > 0), now, stamp=now - late, aside=aside * (k < 100),
+    return cut(station - 10.0 * late * (late > 0), time, stamp=time - late, aside=aside * (k < 100),
                noise=noise, urgent=k == 100), fallback  # fmt: skip
 
 
@@ -202,13 +202,13 @@ def python_row(answer):
 def differs(answer, row):
     return [
         name for name, value in row.items()
-        if (own := float(getattr(answer, name))) == own or value == value
-        if struct.pack("d", float(getattr(answer, name))) != struct.pack("d", value)
+        if (number := float(getattr(answer, name))) == number or value == value
+        if struct.pack("d", number) != struct.pack("d", value)
     ]  # fmt: skip
 
 
-def as_c(trajectory, now=math.nan):
-    return CTrajectory(trajectory.given, trajectory.stamp, now, trajectory.urgent)
+def as_c(trajectory, time=math.nan):
+    return CTrajectory(trajectory.given, trajectory.stamp, time, trajectory.urgent)
 
 
 def drive(library, calls, seed=1):
@@ -216,24 +216,24 @@ def drive(library, calls, seed=1):
     tracker, twin, car, rng = start_tracker(library), python_tracker(library), Car(), np.random.default_rng(seed)
     differences, verdicts, drivers, station, before = [], [], [], 0.0, None
     for k in range(calls):
-        now = PERIOD * k
+        time = PERIOD * k
         trajectory, fallback = sent(k, station, rng)
         if k % 50 == 14 and trajectory is not None:  # the one before, with a new stamp
             trajectory = dataclasses.replace(before, stamp=before.stamp + 0.1)
         if trajectory is not None:
             before = trajectory
-            expected = twin.follow(trajectory, now=now, fallback=fallback)
+            expected = twin.follow(trajectory, now=time, fallback=fallback)
             error, verdict, _ = tracker.follow_trajectory(
-                as_c(trajectory, now), None if fallback is None else as_c(fallback)
+                as_c(trajectory, time), None if fallback is None else as_c(fallback)
             )
             assert error == exported.OK
             verdicts.append(VERDICTS[verdict])
             differences += [(k, expected, VERDICTS[verdict])] if verdicts[-1] is not expected else []
         noise = 0.03 * rng.normal(size=2)
         pose = (car.x + noise[0], car.y + noise[1], car.yaw) if rng.random() > 0.05 else (math.nan,) * 3
-        sample = (now, now, *pose, car.speed, car.turn)
+        sample = (time, time, *pose, car.speed, car.turn)
         answer = tracker.step(*sample)
-        row = python_row(twin.step(sample[0], *sample[2:], now=now))
+        row = python_row(twin.step(sample[0], *sample[2:], now=time))
         differences += [(k, names) for names in [differs(answer, row)] if names]
         drivers.append(DRIVERS[answer.driven_by])
         car.move(answer.command, answer.force - answer.hold if tracker.has_speed else None, answer.target_speed)
@@ -281,31 +281,31 @@ def test_a_path_in_between_ends_the_trajectory_and_its_clock(library):
 
 # -- errors, states and the header ------------------------------------------------------------------------------------
 def with_entry(trajectory, row, column, value):
-    given = trajectory.given.copy()
-    given[row, column] = value
-    return CTrajectory(given, trajectory.stamp)
+    rows = trajectory.given.copy()
+    rows[row, column] = value
+    return CTrajectory(rows, trajectory.stamp)
 
 
 def test_an_impossible_trajectory_is_refused_by_its_point_and_the_car_goes_on_as_before(library):
     tracker, twin, first = start_tracker(library), start_tracker(library), cut(0.0, 0.0)
-    for each in (tracker, twin):
-        assert each.follow_trajectory(as_c(first, 0.0))[:2] == (exported.OK, 0)
+    for follower in (tracker, twin):
+        assert follower.follow_trajectory(as_c(first, 0.0))[:2] == (exported.OK, 0)
     refused = [
         (with_entry(cut(1.0, 0.1), 7, GIVEN.t, 0.0), (BAD_TRAJECTORY, 7)),
         (with_entry(cut(1.0, 0.1), 5, GIVEN.x, math.inf), (BAD_TRAJECTORY, 5)),
         (with_entry(cut(1.0, 0.1), 9, GIVEN.y, 80.0), (BAD_TRAJECTORY, 9)),
         (CTrajectory(np.zeros((257, len(GIVEN)))), (exported.TOO_SMALL, 99)),
     ]
-    for wrong, expected in refused:
-        wrong.now = 0.1
-        error, _, flaw = tracker.follow_trajectory(wrong)
+    for impossible, expected in refused:
+        impossible.now = 0.1
+        error, _, flaw = tracker.follow_trajectory(impossible)
         assert (error, flaw) == expected
     fallbacks = [
         (as_c(cut(1.0, 0.1)), (BAD_FALLBACK, 39)), (CTrajectory(np.zeros((0, len(GIVEN)))), (BAD_FALLBACK, 0)),
         (with_entry(cut(1.0, 0.1, speeds=braking(SPEED)), 4, GIVEN.t, math.nan), (BAD_FALLBACK, 4)),
     ]  # fmt: skip
-    for wrong, expected in fallbacks:
-        error, _, flaw = tracker.follow_trajectory(as_c(cut(1.0, 0.1), 0.1), wrong)
+    for impossible, expected in fallbacks:
+        error, _, flaw = tracker.follow_trajectory(as_c(cut(1.0, 0.1), 0.1), impossible)
         assert (error, flaw) == expected
     for k in range(40):
         sample = PERIOD * k, PERIOD * k, SPEED * PERIOD * k, 0.1, 0.0, SPEED, 0.0
@@ -319,7 +319,7 @@ def test_a_planner_needs_its_memory_and_a_time(library):
     assert tracker.follow_trajectory(trajectory)[0] == exported.OUT_OF_ORDER
     assert tracker.give_memory(tracker.planner_size // 2) == exported.TOO_SMALL
     assert tracker.give_memory() == exported.OK
-    assert tracker.follow_trajectory(trajectory)[0] == exported.OUT_OF_ORDER  # neither `now` nor a call
+    assert tracker.follow_trajectory(trajectory)[0] == exported.OUT_OF_ORDER  # neither `time` nor a call
     trajectory.now = 0.0
     assert tracker.follow_trajectory(trajectory)[:2] == (exported.OK, 0)
     assert tracker.give_memory() == exported.OUT_OF_ORDER

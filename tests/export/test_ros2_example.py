@@ -345,12 +345,12 @@ def test_speeds_of_the_path_are_driven(Follower):
 def planned(request):
     """A message by whose times a car drives at 6 m/s along the x axis from a place on."""
 
-    def make(x, now):
+    def make(x, time):
         t = 0.1 * np.arange(60)
         points = np.stack([x + 6.0 * t, np.zeros(60)], axis=-1)
         if request.param == "stamped path":
-            return path(points, now + t, t=now)
-        return trajectory(points, np.full(60, 6.0), times=t, yaws=np.zeros(60), t=now)
+            return path(points, time + t, t=time)
+        return trajectory(points, np.full(60, 6.0), times=t, yaws=np.zeros(60), t=time)
 
     return make
 
@@ -369,22 +369,22 @@ def test_a_late_car_catches_up_with_the_times_and_stops_when_the_planner_falls_s
     speed, x = 6.0, -2.0 - CAR.lr  # of the rear axle, 2 m behind its time
     assert timed.tick(0.0).stopping == follower.NO_PATH
     for k in range(1, 120):
-        now = 0.05 * k
+        time = 0.05 * k
         if k % 2 and k < 80:
-            timed.path(planned(6.0 * now, now), now)
-        timed.pose(odometry(now, x=x + 6.0 * 0.05 + CAR.lr, speed=speed))
-        command = timed.tick(now)
+            timed.path(planned(6.0 * time, time), time)
+        timed.pose(odometry(time, x=x + 6.0 * 0.05 + CAR.lr, speed=speed))
+        command = timed.tick(time)
         if k == 10:
             assert command.speed == pytest.approx(6.7, abs=0.1)  # 0.4/s times the way beyond 0.2 m
         if k == 79:
-            level, text, values = timed.diagnosis(now)
+            level, text, values = timed.diagnosis(time)
             assert (level, text, values["driven by"]) == (follower.OK, "following", "planner")
             assert float(values["late (s)"]) < 0.15
         assert k == 89 or bool(command.stopping) == (k > 89)  # 0.5 s after the last one
         speed += min(max(command.speed - speed, -0.15), 0.075)
         x += 0.05 * speed
     assert command.stopping == follower.NO_PLANNER
-    assert timed.diagnosis(now)[2]["driven by"] == "stop"
+    assert timed.diagnosis(time)[2]["driven by"] == "stop"
 
 
 def test_a_trajectory_of_a_future_stamp_or_with_falling_times_is_left_out_with_its_reason(timed):
@@ -408,16 +408,16 @@ def test_both_nodes_follow_a_trajectory_alike(cpp, tmp_path):
     library = cpp[0].shim(tmp_path, speed_control=True, follow="trajectory")
     nodes, t = [follower.Follower(parameters), cpp[0].CppFollower(library, parameters)], 0.1 * np.arange(50)
     for k in range(100):
-        now, commands = 0.05 * k, []
-        x = 5.0 * now + 5.0 * t
+        time, commands = 0.05 * k, []
+        x = 5.0 * time + 5.0 * t
         points, yaws = np.stack([x, 8.0 * np.sin(x / 25.0)], axis=-1), np.arctan(0.32 * np.cos(x / 25.0))
         speeds = np.hypot(5.0, np.gradient(points[:, 1], 0.1)).astype(np.float32)  # as in the message
-        car = 5.0 * now - 2.0
+        car = 5.0 * time - 2.0
         for node in nodes:
             if k % 2 == 0 and k < 60:
-                node.path(trajectory(points, speeds, times=t, yaws=yaws, t=now), now)
-            node.pose(odometry(now, car, 8.0 * np.sin(car / 25.0), np.arctan(0.32 * np.cos(car / 25.0)), 5.3, 0.0))
-            commands.append(node.tick(now))
+                node.path(trajectory(points, speeds, times=t, yaws=yaws, t=time), time)
+            node.pose(odometry(time, car, 8.0 * np.sin(car / 25.0), np.arctan(0.32 * np.cos(car / 25.0)), 5.3, 0.0))
+            commands.append(node.tick(time))
         ours, theirs = commands
         assert ours.stopping == theirs.stopping
         assert ours[:3] == pytest.approx(theirs[:3], abs=1e-9)
@@ -683,11 +683,11 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
     ("pose_message", "tf", "motion_message", "geometry_msgs/TwistStamped"),
     ("pose_message", "geometry_msgs/PoseStamped", "motion_message", "geometry_msgs/TwistStamped",
      "drive_message", "autoware_control_msgs/Control"),
+    ("path_message", "autoware_planning_msgs/Trajectory", "follow", "trajectory"),
 ])  # fmt: skip
-def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
-    report = dict(
-        line.split("=", 1) for line in run_program(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
-    )
+def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options, tmp_path):
+    node = cpp[0].node(tmp_path, "trajectory") if "follow" in options else cpp[0].node(folder)
+    report = dict(line.split("=", 1) for line in run_program(str(node), *options).splitlines() if "=" in line)
     assert int(report["commands"]) == pytest.approx(80, abs=2)
     assert (report["frame"], report["level"], report["message"]) == ("base_link", "0", "following")
     assert float(report["speed"]) > (3.5 if "path_message" in options else 4.5)

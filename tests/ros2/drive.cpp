@@ -52,7 +52,19 @@ struct World {
         message.twist.twist.linear.x = speed, message.twist.twist.angular.z = speed * std::tan(angle) / 2.7;
         network.publish("odom", message);
     }
+    void publish_planned() const {
+        autoware_planning_msgs::msg::Trajectory message;
+        message.header = {stamp(), "map"};
+        for (int k = 0; k < 60; k++) {
+            message.points.emplace_back();
+            message.points.back().time_from_start = {k / 10, 100000000u * static_cast<std::uint32_t>(k % 10)};
+            message.points.back().pose.position.x = x + 0.4 * k;
+            message.points.back().longitudinal_velocity_mps = 4.0F;
+        }
+        network.publish("path", message);
+    }
     void publish_path() const {
+        if (network.parameters.count("follow")) return publish_planned();
         if (network.parameters.count("path_message")) {
             autoware_planning_msgs::msg::Trajectory message;
             message.header.frame_id = "map";
@@ -75,7 +87,7 @@ struct World {
     void run(double seconds) {
         for (int k = 0; k < std::lround(seconds / 0.05); k++) {
             publish_odometry();
-            if (k % 10 == 0) publish_path();
+            if (k % (network.parameters.count("follow") ? 2 : 10) == 0) publish_path();
             network.run(0.05);
             move(0.05);
         }

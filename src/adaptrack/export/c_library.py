@@ -163,7 +163,7 @@ def _texts(controller: Controller, memory: CMemory, recorded: Recorded, speed: S
         "CONSTANTS_SIZE": f"{len(memory.content):,}", "SIZE": f"{memory.size:,}",
         "STATE_SIZE": f"{memory.state_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
-        "WHO_DRIVES": _who_drives(), "POINT": _members(fields_of(GIVEN), "double"),
+        "WHO_DRIVES": _driver_table(), "POINT": _members(fields_of(GIVEN), "double"),
         "EXACT": " ".join(EXACT_OPTIONS), "ERROR_NAMES": _error_names(), **signal_texts(),
     }  # fmt: skip
     prepare = (PREPARE_MPC,) if controller.has_horizons else ()
@@ -187,7 +187,7 @@ def _actions() -> str:
     return "\n".join(f"   {status:<12}{located:<16}{blind}" for status, (located, blind) in rows.items())
 
 
-def _who_drives() -> str:
+def _driver_table() -> str:
     """The table of the header: who drives when a planner falls silent."""
     rows = (("event", "fallback", "driven_by", "how it ends"), *WHO_DRIVES)
     return "\n".join(f"   {event:<25}{fallback:<20}{driver:<11}{end}" for event, fallback, driver, end in rows)

@@ -111,7 +111,7 @@ def _solve(equations):
 
 
 @inlined
-def _largest(values):
+def _maximum(values):
     """The largest of numbers that are at least 0, four at a time: a chain of comparisons would wait for each."""
     a = b = c = d = 0.0
     whole_fours = values.size - values.size % 4
@@ -146,7 +146,7 @@ def smooth_points(points, closed, noise, memory):
                 for other in range(k - reach, k + reach + 1):
                     sharpest = max(sharpest, sharpness[other % rows])
             else:
-                sharpest = max(sharpest, _largest(sharpness[max(k - reach, 0) : min(k + reach + 1, rows)]))
+                sharpest = max(sharpest, _maximum(sharpness[max(k - reach, 0) : min(k + reach + 1, rows)]))
             spread = noise * sqrt(step)
             amplitude, share = sqrt(AMPLITUDE * spread) / sharpest, spread / (sqrt(18.0) * SHARE * sharpest)
             radius[k] = min(max(power(amplitude, 1.0 / 3.0), power(share, 2.0 / 7.0)), MAX_RADIUS * step)

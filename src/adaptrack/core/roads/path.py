@@ -436,19 +436,19 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
     piece[road.ALONG_COEFFICIENTS] = 0.0  # the frame is at the middle
     piece[road.ACROSS_COEFFICIENTS] = 0.0
     piece[road.TURN_COEFFICIENTS] = 0.0
-    missed, bent_off = _at_places(), _at_places()
+    miss_squares, bend_errors = _at_places(), _at_places()
     for k in range(NODES, _COUNT):
         u = _PLACES[k]
         off_x = _value(piece[road.ALONG_COEFFICIENTS : road.ACROSS_COEFFICIENTS], u) - along[k]
         off_y = _value(piece[road.ACROSS_COEFFICIENTS : road.TURN_COEFFICIENTS], u) - across[k]
-        missed[k] = off_x * off_x + off_y * off_y
+        miss_squares[k] = off_x * off_x + off_y * off_y
         bent = 0.0
         for j in range(road.POLYNOMIAL_DEGREE, 0, -1):
             bent = bent * u + j * piece[road.TURN_COEFFICIENTS + j]
-        bent_off[k] = abs(bent / half - curvature[k])
+        bend_errors[k] = abs(bent / half - curvature[k])
     for k in range(NODES, _COUNT):
         allowed = CURVATURE_FIT * (abs(curvature[k]) + 0.1) + PIECE_ROUNDING / (2.0 * half)
-        if not (missed[k] <= (FIT * reach) * (FIT * reach) and bent_off[k] <= allowed):
+        if not (miss_squares[k] <= (FIT * reach) * (FIT * reach) and bend_errors[k] <= allowed):
             return False
     piece[road.HALF_LENGTH], piece[road.COS], piece[road.SIN] = half, cosine, sine
     piece[road.HEADING] = atan2(sine, cosine)

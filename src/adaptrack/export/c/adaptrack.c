@@ -598,16 +598,12 @@ static adaptrack_error check_fallback(void *tracker, const adaptrack_trajectory 
 
 static void keep_fallback(planner *own, const adaptrack_trajectory *fallback, double now) {
     for (size_t i = 0; i < fallback->count; i++) own->points[i] = fallback->points[i];
-    own->fallback = *fallback;
-    own->fallback.points = own->points, own->fallback.now = now;
+    own->fallback = *fallback, own->fallback.points = own->points, own->fallback.now = now;
 }
 
-static int has_room(const adaptrack_trajectory *trajectory) {
-    return trajectory->count <= ADAPTRACK_TRAJECTORY_POINTS;
-}
-
-static int is_given(const adaptrack_trajectory *trajectory) {
-    return trajectory && (trajectory->points || trajectory->count == 0);
+static adaptrack_error check_points(const adaptrack_trajectory *trajectory) {
+    if (!trajectory->points && trajectory->count > 0) return ADAPTRACK_BAD_ARGUMENT;
+    return trajectory->count <= ADAPTRACK_TRAJECTORY_POINTS ? ADAPTRACK_OK : ADAPTRACK_TOO_SMALL;
 }
 
 adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_trajectory *trajectory,
@@ -616,9 +612,10 @@ adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_traje
     adaptrack_trajectory arrived;
     adaptrack_error error;
     size_t place = 0;
-    if (!is_given(trajectory) || (fallback && !is_given(fallback)) || !verdict) return ADAPTRACK_BAD_ARGUMENT;
-    if (!has_room(trajectory) || (fallback && !has_room(fallback))) return ADAPTRACK_TOO_SMALL;
-    error = adaptrack_take(tracker);
+    if (!trajectory || !verdict) return ADAPTRACK_BAD_ARGUMENT;
+    error = check_points(trajectory);
+    if (error == ADAPTRACK_OK && fallback) error = check_points(fallback);
+    if (error == ADAPTRACK_OK) error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
     arrived = *trajectory;
     if (arrived.now != arrived.now) arrived.now = record_of(tracker)->tracker.memory.data->last;

@@ -224,8 +224,8 @@ adaptrack_error adaptrack_planner(void *tracker, void *memory, size_t size);
    is kept with a trajectory that is TAKEN or the SAME until another one comes, and its `now` is not read.
    ADAPTRACK_BAD_TRAJECTORY where the trajectory is not possible, ADAPTRACK_BAD_FALLBACK where the fallback is not:
    `flaw`, unless null, is then the number of the point. ADAPTRACK_TOO_SMALL for more points, or a way of more than about
-   1,000 m. ADAPTRACK_BAD_PLAN where it is faster than ADAPTRACK_TOP_SPEED of a speed control. The car goes on as before
-   after an error. */
+   1,000 m. ADAPTRACK_BAD_PLAN where it is faster than ADAPTRACK_TOP_SPEED of a speed control. ADAPTRACK_OUT_OF_ORDER
+   without memory, or without a time: neither `now` nor a call. The car goes on as before after an error. */
 adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_trajectory *trajectory,
                                             const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
                                             size_t *flaw);
