@@ -175,7 +175,7 @@ def stop_from(drive: at.RoadDrive, stamp: float, begin: float, deceleration: flo
     """A trajectory along the line that brakes from the planned speed at a time (s) of the plan on."""
     begin = min(begin, drive.plan.duration)
     place, speed = map(float, drive.plan.motion(begin))
-    before = np.arange(float(drive.plan.motion(stamp)[0]) - 5.0, place, 1.0)
+    before = np.arange(float(drive.plan.motion(stamp)[0]) - 5.0, place - 0.1, 1.0)
     t = np.append(np.arange(0.0, speed / deceleration, 0.1), speed / deceleration)
     s, v = place + speed * t - 0.5 * deceleration * t * t, np.maximum(speed - deceleration * t, 0.0)
     t = np.concatenate([arrival_times(drive.plan, before), begin + t, begin + t[-1:] + 4.0])
