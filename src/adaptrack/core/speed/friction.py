@@ -53,6 +53,7 @@ FRICTION_HYPOTHESIS = record(
         "friction", "grip",  # -, -: of the tyres; largest steady lateral acceleration over g
         "tyre_shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
         "score", "evidence",  # logarithm of the weight, and of the likelihood of the last sample
+        "recent",  # logarithm of the likelihood of the last samples, fading over `RECENT_TIME`
         ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
 )  # fmt: skip
@@ -127,6 +128,9 @@ CERTAIN_RESERVE = 0.1
 the driven axle is assumed."""
 EVIDENCE_SHARE = 0.15
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
+RECENT_TIME, LARGEST_RECENT, FALL_EVIDENCE, FALL_SHARE = 0.5, 2.5, 0.5, 0.7
+"""s, and log-likelihood ratio over that time by which less friction than the low end explains the motion better than the
+low end and all above: then the friction has fallen. -: share of less friction that the tyres then use at least."""
 SURPRISE_TIME, LEAST_SURPRISE = 5.0, 0.3
 """s, over which larger innovations than assumed are noticed: samples then count less."""
 FRICTION_INNOVATION_BOUND = 3.0
@@ -379,6 +383,20 @@ def _forget(estimate):
         h.score = -log(float(estimate.bank.size // _shapes(estimate)))
 
 
+@inlined
+def _has_fallen(memory, estimate):
+    """Whether the last samples speak for less friction than the low end: a generalised likelihood ratio."""
+    bank = estimate.bank
+    spacing = (bank[bank.size - 1].friction - bank[0].friction) / max(bank.size // _shapes(estimate) - 1, 1)
+    kept, fallen = -math.inf, -math.inf
+    for h in bank:
+        if h.friction >= memory.least - 0.25 * spacing:
+            kept = max(kept, h.recent)
+        elif memory.used <= h.grip and FALL_SHARE * GRAVITY * h.friction <= abs(memory.pull):
+            fallen = max(fallen, h.recent)
+    return fallen - kept > FALL_EVIDENCE
+
+
 @exported(void(FrictionSample, LearnedRow, float64, float64, FrictionEstimate))
 def estimate_friction(sample, knowledge, force, pull, estimate):
     """Take in a sample (`FrictionSample`) at a control instant; write the ends of the interval to the memory.
@@ -441,15 +459,21 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     for h in bank:
         if memory.running < 0.5:
             _begin_filter(h, yaw_rate, knowledge)
-            h.evidence = 0.0
+            h.evidence, h.recent = 0.0, 0.0
         else:
             h.evidence = _correct(h, memory.angle, sample, motion, estimate.variances, c)
             _bound(h, speed, yaw_rate, knowledge)
         best = max(best, h.evidence)
     memory.surprise += step / SURPRISE_TIME * (-2.0 * best - memory.surprise)
+    telling = 0.0
     if abs(memory.pull) > TELLING_SHARE * memory.least * GRAVITY:
-        for h in bank:
-            h.score += EVIDENCE_SHARE * h.evidence / max(memory.surprise, LEAST_SURPRISE)
+        telling = 1.0 / max(memory.surprise, LEAST_SURPRISE)
+    fading = exp(-step / RECENT_TIME)
+    for h in bank:
+        h.score += EVIDENCE_SHARE * telling * h.evidence
+        h.recent = max(fading * h.recent + telling * (h.evidence - best), -LARGEST_RECENT)
+    if _has_fallen(memory, estimate):
+        _forget(estimate)
     memory.running = 1.0
     _weigh(distance, memory, estimate)
 
