@@ -24,7 +24,8 @@ import logging
 import math
 import sys
 import time
-from typing import Any
+from contextlib import nullcontext
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ from scipy.special import ndtr
 
 from adaptrack import MPC, SpeedControl, Tracker, load_vehicle
 from adaptrack.cars.vehicle import load_tyre
-from adaptrack.control.speed_control import friction_estimate
+from adaptrack.control.speed_control import SpeedController, friction_estimate
 from adaptrack.core.kernel import Resident
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed import friction as kernel
@@ -574,7 +575,7 @@ def run_estimator(fleet: Fleet, rows: dict[str, Array], told: tuple[float, float
     ends = np.zeros((3, steps, fleet.count))
     for i in range(fleet.count):
         name = CARS[fleet.car[i]]
-        known = SHAPES.get(int(fleet.kind[i]), float(fleet.c[i])) if shape == "known" else "unknown"
+        known = known_shape(fleet, i) if shape == "known" else "unknown"
         control = SpeedControl(load_vehicle(name), friction=told, tyre_shape=known)
         estimate = friction_estimate(control, PERIOD, CONTROLLERS[name])
         variances = np.array([
@@ -603,6 +604,11 @@ def run_estimator(fleet: Fleet, rows: dict[str, Array], told: tuple[float, float
 
 SHAPES: dict[int, float | str] = {3: "brush", 4: 1.35, 5: 1.4}
 """Of `CURVES`, as told: the Magic Formula nearest to tanh is within 0.5 % of its force, that of the table 1.6 %."""
+
+
+def known_shape(fleet: Fleet, i: int) -> float | str:
+    """Shape of the tyre's curve of a drive, for `SpeedControl`."""
+    return SHAPES.get(int(fleet.kind[i]), float(fleet.c[i]))
 
 
 def _share(condition: Array) -> str:
@@ -698,29 +704,48 @@ def print_worst(fleet: Fleet, excess: Array, missing: Array) -> None:
               f"transfer {fleet.transfers[i]:d} share {fleet.share[i]:.2f} missing {missing[i]:+.3f}")  # fmt: skip
 
 
-def drive_closed(fleet: Fleet, told: tuple[float, float], share: float, seed: int, **options: Any) -> dict[str, Array]:
-    """Let trackers with speed controls drive all on laps planned for a share of the highest told friction."""
+WAYS_TO_KNOW = ("told truth", "best", "shape told", "ours", "low = told")
+
+
+def drive_closed(
+    fleet: Fleet, told: tuple[float, float], share: float, seed: int, knows: str = "ours"
+) -> dict[str, Array]:  # fmt: skip
+    """Let trackers with speed controls drive all on laps planned for a share of the highest told friction.
+
+    knows: of `WAYS_TO_KNOW`. The best possible estimator knows car and shape; it and "low = told" take the place of ours.
+    """
     n, trackers, roads = fleet.count, [], []
     for i in range(n):
         car = load_vehicle(CARS[fleet.car[i]])
         road = generate_road("lap" if i % 2 else "mountain", seed + i, 1200.0)
         road = road.replace(speed_limit=None, friction=told[1])
         plan = plan_speed(road, car, Comfort(lateral=20.0, grip_share=share), **({} if road.closed else {"start": 8.0}))
-        control = SpeedControl(car, friction=told, **options)
-        trackers.append(Tracker(MPC(car, profile="road"), road, plan=plan, speed=control))
+        shape = known_shape(fleet, i) if knows == "shape told" else "unknown"
+        friction = float(fleet.truth[i]) if knows == "told truth" else told
+        narrows = knows in ("ours", "shape told")
+        with nullcontext() if narrows else patch.object(SpeedController, "estimate_friction"):
+            control = SpeedControl(car, friction=friction, tyre_shape=shape)
+            trackers.append(Tracker(MPC(car, profile="road"), road, plan=plan, speed=control))
         roads.append(road)
     fleet.begin(np.full(n, 8.0))
     starts = [road.at(0.0) for road in roads]
     fleet.x, fleet.y, fleet.yaw = (
         np.array([float(getattr(p, name)) for p in starts]) for name in ("x", "y", "heading")
     )
+    reference = Reference(fleet, told, "known")
+    reference.begin(fleet.vx)
     rows: dict[str, list[Array]] = {}
     lost, done = np.zeros(n, bool), np.zeros(n, bool)
     for k in range(round(SECONDS / PERIOD)):
         sample, command, request = fleet.sense(), np.zeros(n), np.zeros(n)
         low, high, offset, way = (np.full(n, math.nan) for _ in range(4))
         places = 0.02 * fleet.noise * fleet.rng.standard_normal((3, n))
+        if knows == "best":
+            acting = {"command": fleet.commands[0], "request": fleet.requests[0], "lost": lost | done}
+            ends = reference.step(sample | acting)
         for i in np.flatnonzero(~(lost | done)):
+            if knows == "best" and np.isfinite(ends[0, i]):
+                tell_friction(trackers[i], *ends[:, i])
             out = trackers[i].step(
                 PERIOD * k, fleet.x[i] + places[0, i], fleet.y[i] + places[1, i], fleet.yaw[i] + 0.1 * places[2, i],
                 sample["speed"][i], sample["yaw_rate"][i],
@@ -740,6 +765,28 @@ def drive_closed(fleet: Fleet, told: tuple[float, float], share: float, seed: in
             rows.setdefault(name, []).append(value)
         fleet.move(command, request, fleet.tyre_friction, np.zeros(n))
     return {name: np.array(values) for name, values in rows.items()}
+
+
+def tell_friction(tracker: Tracker, low: float, high: float) -> None:
+    """Give a speed control that does not narrow the friction itself an interval, with the caution of its width."""
+    memory = tracker._speed.record.memory[0]
+    caution = min(kernel.WIDTH_CAUTION * (high - low) / high, kernel.LARGEST_CAUTION)
+    memory.friction, memory.friction_high, memory.cautious_friction = low, high, (1.0 - caution) * low
+
+
+def compare_ways(drives: int, seed: int) -> None:
+    """Print the way that trackers lose by what is known of a friction of 0.65 to 0.9."""
+    told, ways = (0.65, 0.9), {}
+    for way in WAYS_TO_KNOW:
+        fleet = Fleet(drives, seed, told)
+        rows = drive_closed(fleet, told, 0.9, seed, way)
+        ways[way] = np.nanmax(rows["way"], axis=0)
+        ways[way][rows["lost"][-1]] = math.nan
+        behind = 100.0 * (1.0 - ways[way] / ways["told truth"])
+        groups = [behind[(fleet.truth >= a) & (fleet.truth < b)] for a, b in ((0.0, 0.75), (0.75, 1.0))]
+        print(f"{way:12} lost {_share(rows['lost'][-1])}; largest offset {np.nanmax(np.abs(rows['offset'])):.2f} m; "
+              f"way behind one that is told the truth {np.nanmean(behind):.2f} %: below 0.75 "
+              f"{np.nanmean(groups[0]):.2f} %, above {np.nanmean(groups[1]):.2f} %", flush=True)  # fmt: skip
 
 
 def closed(drives: int, seed: int, exact: bool, verbose: bool) -> None:
@@ -829,6 +876,8 @@ def main() -> None:
     logging.getLogger("adaptrack").setLevel(logging.ERROR)
     if arguments.cost:
         cost()
+    elif arguments.closed and arguments.best != "none":
+        compare_ways(arguments.drives, arguments.seed)
     elif arguments.closed:
         closed(arguments.drives, arguments.seed, arguments.exact, arguments.verbose)
     elif arguments.patches:
