@@ -5,6 +5,9 @@
     python benchmarks/friction_interval.py --drives 72 --seed 4400 --exact    only the curve is unknown
     python benchmarks/friction_interval.py --patches --drives 100 --seed 4300
     python benchmarks/friction_interval.py --closed --drives 24 --seed 4500 --exact    trackers drive
+    python benchmarks/friction_interval.py --drives 60 --seed 4280 --shape known --best car    and the best possible
+    python benchmarks/friction_interval.py --patches --drives 100 --seed 4310 --shape known --best no-car
+    python benchmarks/friction_interval.py --closed --best car --drives 12 --seed 4600    way lost, by what is known
     python benchmarks/friction_interval.py --cost
 
 Each drive follows its own random road near the grip, on a plant of this file: four shipped cars, with a Magic Formula
@@ -13,7 +16,8 @@ double noise; with and without a measured lateral velocity; side wind; a bank th
 and forces of all drives are recorded once, and the estimator is run on them with each interval. The true friction is
 the largest steady lateral acceleration over g; `low` is compared as the speed control uses it in bends. Seeds
 4100 to 4109, 4300, 4400 and 4500 served to make the estimator; 4200 to 4260 were driven between its last changes and
-led to two of them (weight of the evidence, margin of the model); 4270 was driven once, after the last one.
+led to two of them (weight of the evidence, margin of the model). 9100 and 9200 served to make the test for a friction
+that falls; 4270, 4280, 4290, 4310 and 4600 were driven after the last change.
 """
 
 from __future__ import annotations
@@ -319,8 +323,8 @@ SHAPE_PRIOR = ((0, 1.2, 0.0, 1 / 6), (1, 1.9, 0.0, 1 / 6), (2, 1.3, 0.06, 1 / 18
 """Kind of curve, C with its standard deviation, and weight: those that a fleet draws."""
 WINDS = (-10.0, 0.0, 10.0)
 """m/s, mean winds of a windy drive, with a standard deviation of 6 m/s."""
-SMALLEST_WEIGHT = -10.0
-"""Logarithm, below which a hypothesis is dropped."""
+MERGE_STEPS, SMALLEST_WEIGHT = 5, -10.0
+"""Steps between mergers of hypotheses that have become the same; logarithm of the weight below which one is dropped."""
 REACH, SHORT_REACH = math.sqrt(3.0), 0.1
 """Standard deviations of the points of a filter (Norgaard, Poulsen and Ravn, Automatica 36 (2000) 1627), and of those
 where the plant is nearly linear."""
@@ -330,10 +334,12 @@ class Reference:
     """The best possible estimator: Bayes' rule over friction and shape, with the plant itself as the model.
 
     Each hypothesis is a cell of the friction, a shape and a mean wind with a Gaussian filter of `STATES` by divided
-    differences of the plant's own motion. The car, the noise, and whether there are wind and bank are known; unknown are
-    the course of wind and bank, the bias of the steering, offset and scale of the sensors. jumps: the friction can
-    change at any moment (interacting multiple models). knows_car: otherwise stiffness and balance are unknown, as a
-    fleet draws them.
+    differences of the plant's own motion. The car, the noise, and whether there are wind and bank are known. Unknown
+    are the course of wind and bank, the bias of the steering, offset and scale of the sensors. Commands count as
+    given: that they follow a plan near the limit says nothing of the friction.
+
+    jumps: the friction can change at any moment (interacting multiple models). knows_car: otherwise stiffness and
+    balance are unknown, as a fleet draws them.
     """
 
     def __init__(
@@ -463,9 +469,9 @@ class Reference:
         """Take in the sensors of a sample."""
         x, P, plant, m = self.x, self.P, self.plant, self.drive.size
         always = np.ones(m, bool)
-        for name, state, extra, used in (
-            ("speed", "vx", "scale", always), ("yaw_rate", "r", "", always), ("vy", "vy", "", plant.has_vy[:m]),
-            ("ay", "ay", "offset", plant.has_ay[:m]),
+        for name, state, used in (
+            ("speed", "vx", always), ("yaw_rate", "r", always), ("vy", "vy", plant.has_vy[:m]),
+            ("ay", "ay", plant.has_ay[:m]),
         ):  # fmt: skip
             reading, H = x[:, Z[state]], np.zeros(x.shape)
             H[:, Z[state]] = 1.0
@@ -516,8 +522,9 @@ class Reference:
         total = np.logaddexp(self.score[a], self.score[a + 1])
         share = np.exp(self.score[a] - total)[:, None]
         off = self.x[a + 1] - self.x[a]
+        between = share[..., None] * off[:, :, None] * off[:, None, :]
         self.x[a] += (1.0 - share) * off
-        self.P[a] += (1.0 - share[..., None]) * (self.P[a + 1] - self.P[a] + share[..., None] * off[:, :, None] * off[:, None, :])
+        self.P[a] += (1.0 - share[..., None]) * (self.P[a + 1] - self.P[a] + between)
         self.score[a], self.score[a + 1] = total, -math.inf
 
     def step(self, sample: dict[str, Array]) -> Array:
@@ -564,7 +571,6 @@ class Reference:
         )
 
 
-MERGE_STEPS = 5
 CONTROLLERS = {name: MPC(load_vehicle(name), profile="road") for name in CARS}
 STEERING = {name: (c.belief.lag.value, c.belief.delay) for name, c in CONTROLLERS.items()}
 
@@ -712,7 +718,7 @@ def drive_closed(
 ) -> dict[str, Array]:  # fmt: skip
     """Let trackers with speed controls drive all on laps planned for a share of the highest told friction.
 
-    knows: of `WAYS_TO_KNOW`. The best possible estimator knows car and shape; it and "low = told" take the place of ours.
+    knows: of `WAYS_TO_KNOW`. The best possible estimator knows car and shape.
     """
     n, trackers, roads = fleet.count, [], []
     for i in range(n):
@@ -721,10 +727,9 @@ def drive_closed(
         road = road.replace(speed_limit=None, friction=told[1])
         plan = plan_speed(road, car, Comfort(lateral=20.0, grip_share=share), **({} if road.closed else {"start": 8.0}))
         shape = known_shape(fleet, i) if knows == "shape told" else "unknown"
-        friction = float(fleet.truth[i]) if knows == "told truth" else told
         narrows = knows in ("ours", "shape told")
         with nullcontext() if narrows else patch.object(SpeedController, "estimate_friction"):
-            control = SpeedControl(car, friction=friction, tyre_shape=shape)
+            control = SpeedControl(car, friction=told, tyre_shape=shape)
             trackers.append(Tracker(MPC(car, profile="road"), road, plan=plan, speed=control))
         roads.append(road)
     fleet.begin(np.full(n, 8.0))
@@ -734,6 +739,7 @@ def drive_closed(
     )
     reference = Reference(fleet, told, "known")
     reference.begin(fleet.vx)
+    ends = np.array([fleet.truth, fleet.truth]) if knows == "told truth" else fleet.told.T
     rows: dict[str, list[Array]] = {}
     lost, done = np.zeros(n, bool), np.zeros(n, bool)
     for k in range(round(SECONDS / PERIOD)):
@@ -744,7 +750,7 @@ def drive_closed(
             acting = {"command": fleet.commands[0], "request": fleet.requests[0], "lost": lost | done}
             ends = reference.step(sample | acting)
         for i in np.flatnonzero(~(lost | done)):
-            if knows == "best" and np.isfinite(ends[0, i]):
+            if knows not in ("ours", "shape told") and np.isfinite(ends[0, i]):
                 tell_friction(trackers[i], *ends[:, i])
             out = trackers[i].step(
                 PERIOD * k, fleet.x[i] + places[0, i], fleet.y[i] + places[1, i], fleet.yaw[i] + 0.1 * places[2, i],
@@ -883,9 +889,7 @@ def main() -> None:
     elif arguments.patches:
         patches(arguments.drives, arguments.seed, arguments.shape, arguments.best)
     else:
-        intervals(
-            arguments.drives, arguments.seed, arguments.shape, arguments.exact, arguments.verbose, arguments.best
-        )
+        intervals(arguments.drives, arguments.seed, arguments.shape, arguments.exact, arguments.verbose, arguments.best)
 
 
 if __name__ == "__main__":
