@@ -330,6 +330,10 @@ REACH, SHORT_REACH = math.sqrt(3.0), 0.1
 where the plant is nearly linear."""
 
 
+GROUP = 8
+"""Drives that a reference follows at once."""
+
+
 class Reference:
     """The best possible estimator: Bayes' rule over friction and shape, with the plant itself as the model.
 
@@ -634,10 +638,6 @@ def best_ends(fleet: Fleet, rows: dict[str, Array], told: tuple[float, float], s
     return np.concatenate(ends, axis=2)
 
 
-GROUP = 8
-"""Drives that the best possible estimator follows at once."""
-
-
 def judge(name: str, fleet: Fleet, rows: dict[str, Array], low: Array, high: Array) -> list[Array]:
     """Print the figures of an interval."""
     truth = rows["truth"]
@@ -658,18 +658,15 @@ def judge(name: str, fleet: Fleet, rows: dict[str, Array], low: Array, high: Arr
     return [excess, missing, np.array(sharp), np.array([fleet.kind, fleet.has_vy, fleet.wind != 0, fleet.bank])]
 
 
-def coverage(rows: dict[str, Array], low: Array, high: Array) -> None:
+def coverage(truth: Array, low: Array, high: Array) -> None:
     """Print how often the ends of the best possible estimator hold, at some times."""
     for seconds in (10, 30, 60, 99):
         k = round(seconds / PERIOD)
         there = np.isfinite(low[k])
-        inside = np.array([(low[k] <= rows["truth"][k])[there].mean(), (rows["truth"][k] <= high[k])[there].mean()])
-        error = 2.0 * math.sqrt(TAIL * (1.0 - TAIL) / there.sum())
+        inside = np.array([(low[k] <= truth[k])[there].mean(), (truth[k] <= high[k])[there].mean()])
+        error = 2.0 * math.sqrt(0.05 * 0.95 / there.sum())
         print(f"  best, coverage after {seconds} s: low {100 * inside[0]:.1f} %, high {100 * inside[1]:.1f} % "
               f"(95 +- {100 * error:.1f} %, n = {there.sum()})", flush=True)  # fmt: skip
-
-
-TAIL = 0.05
 
 
 def intervals(drives: int, seed: int, shape: str, exact: bool, verbose: bool, best: str) -> None:
@@ -689,8 +686,7 @@ def intervals(drives: int, seed: int, shape: str, exact: bool, verbose: bool, be
             judge("best", fleet, rows, low, high)
             held.append([rows["truth"], low, high])
     if held:
-        truth, low, high = (np.concatenate([row[j] for row in held], axis=1) for j in range(3))
-        coverage({"truth": truth}, low, high)
+        coverage(*(np.concatenate([row[j] for row in held], axis=1) for j in range(3)))
     excess, missing, sharp, labels = (np.concatenate([row[j] for row in results], axis=-1) for j in range(4))
     print(f"all: low > truth + {MARGIN:g} in {_share(excess > MARGIN)}; high < truth in {_share(missing > 0.0)}; "
           f"low/truth after 20 s {np.median(sharp):.3f}")  # fmt: skip
@@ -819,12 +815,13 @@ def patches(drives: int, seed: int, shape: str, best: str) -> None:
     told = (0.3, 1.0)
     fleet = Fleet(drives, seed, told, patches=True)
     rows = fleet.drive()
+    lost = rows["lost"][-1]
+    print(f"lost {_share(lost)}; of those planned for at most 0.8 of the friction {_share(lost[fleet.share < 0.8])}")
     low, high, _ = run_estimator(fleet, rows, told, shape)
     follow_falls("ours", fleet, rows, low, high)
     if best != "none":
         low, high = best_ends(fleet, rows, told, shape, best)
         follow_falls("best", fleet, rows, low, high)
-        coverage(rows, low, high)
 
 
 def follow_falls(name: str, fleet: Fleet, rows: dict[str, Array], low: Array, high: Array) -> None:
@@ -844,8 +841,8 @@ def follow_falls(name: str, fleet: Fleet, rows: dict[str, Array], low: Array, hi
     late = f"{np.median(values):.2f} s, 90 % {np.quantile(values, 0.9, method='higher'):.2f} s"
     judge(name, fleet, rows, low, high)
     print(f"  {name}: {values.size} falls, low above the new truth at {sum(risen)}; below it within 1 s of 0.8 used in "
-          f"{_share(values <= 1.0)}, within 3 s in {_share(values <= 3.0)}; median {late}; "
-          f"lost {int(rows['lost'][-1].sum())}", flush=True)  # fmt: skip
+          f"{_share(values <= 1.0)}, within 3 s in {_share(values <= 3.0)}; median {late}",
+          flush=True)  # fmt: skip
 
 
 def cost() -> None:
