@@ -17,7 +17,8 @@ and forces of all drives are recorded once, and the estimator is run on them wit
 the largest steady lateral acceleration over g; `low` is compared as the speed control uses it in bends. Seeds
 4100 to 4109, 4300, 4400 and 4500 served to make the estimator; 4200 to 4260 were driven between its last changes and
 led to two of them (weight of the evidence, margin of the model). 9100 and 9200 served to make the test for a friction
-that falls; 4270, 4280, 4290, 4310 and 4600 were driven after the last change.
+that falls; 4270, 4280, 4290, 4310 and 4600 were driven after the last change, 4270 and 4310 also before its thresholds
+were chosen.
 """
 
 from __future__ import annotations
