@@ -160,11 +160,13 @@ def test_the_acceleration_that_the_tyres_use_is_a_lower_bound_less_wind_and_erro
 
 
 def test_low_end_and_high_end_return_to_what_was_told_over_the_stated_way() -> None:
-    estimate = _estimate(LOW, HIGH)
+    estimate, bend = _estimate(LOW, HIGH), 0.8 * GRAVITY
     for _ in range(300):
-        narrow, _ = _take_in(estimate, lateral_acceleration=0.8 * GRAVITY)
+        narrow, _ = _take_in(estimate, lateral_acceleration=bend, yaw_rate=bend / 20.0)
     memory, step = estimate.memory[0], 20.0 * PERIOD
     assert memory.age == 0.0
+    for left in np.linspace(0.9, 0.0, 10):  # a friction that falls looks like a bend that ends at once
+        _take_in(estimate, lateral_acceleration=left * bend, yaw_rate=left * bend / 20.0)
     periods = math.ceil(kernel.RETURN_DISTANCE / step) + 20  # the filter of the used acceleration takes some
     straight = [_take_in(estimate, yaw_rate=0.0, lateral_acceleration=0.0) for _ in range(periods)]
     assert straight[20][0] > narrow - 0.1
@@ -195,13 +197,21 @@ def _flattened(x: float) -> float:
     return min(max(2.0 * x, -1.0), 1.0)
 
 
-def _weave(friction: float, curve: Callable[[float], float], estimate: kernel.FrictionEstimate, share: float) -> Any:
-    """Ends of the interval in bends to both sides, at a share of the grip, on tyres whose load does not move."""
+def _weave(
+    friction: float, curve: Callable[[float], float], estimate: kernel.FrictionEstimate, share: float,
+    fallen: float | None = None,
+) -> Any:  # fmt: skip
+    """Ends of the interval in bends to both sides, at a share of the grip, on tyres whose load does not move.
+
+    fallen: friction from half of the time on.
+    """
     wheels, vy, r, speed, step, weight = 0.0, 0.0, 0.0, 20.0, PERIOD / 25.0, CAR.mass * GRAVITY / CAR.wheelbase
     front, rear = (2.0 * stiffness for stiffness in (CAR.stiffness_front, CAR.stiffness_rear))
     grip, random = friction * GRAVITY, np.random.default_rng(1)
     sent, ends = [0.0] * 2, []
     for k in range(1200):
+        if k == 600 and fallen is not None:
+            friction, grip = fallen, fallen * GRAVITY
         demand = share * grip / speed * _flattened(math.sin(2.0 * math.pi * k / 160.0))
         sent = [0.2 * (demand - r) + demand * CAR.wheelbase / speed, sent[0]]
         for _ in range(25):
@@ -230,6 +240,16 @@ def test_the_friction_is_not_overestimated_on_tyres_of_another_curve(curve: str,
     assert ends[:, 0].max() <= friction + 0.02
     assert ends[:, 0].max() > LOW + 0.02
     assert ends[:, 1].min() >= friction
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("curve", ["brush", "late"])
+def test_a_friction_that_falls_is_noticed_within_two_bends(curve: str) -> None:
+    ends = _weave(0.9, CURVES[curve], _estimate(LOW, HIGH), 0.9, fallen=0.55)
+    assert ends[599, 0] > 0.6
+    assert ends[600 + 2 * 80, 0] < 0.55
+    steady = _weave(0.9, CURVES[curve], _estimate(LOW, HIGH), 0.9)
+    assert steady[600 + 2 * 80, 0] > 0.6
 
 
 @pytest.mark.compiled

@@ -12,8 +12,9 @@ limit; a sample is compared with the motion at its own time. The score of a hypo
 innovations; a friction has the score of its better shape. A filter that is refuted follows the best one.
 
 Friction shows only where the tyres are near their limit. The low end rises only there; without excitation the interval
-returns with the distance to the given one, in which the frictions begin with equal weights. The acceleration that the
-tyres certainly use is a lower bound.
+returns with the distance to the given one, in which the frictions begin with equal weights. It returns at once where
+the samples of the last half second show that the friction has fallen (a generalised likelihood ratio). The acceleration
+that the tyres certainly use is a lower bound.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ FRICTION_HYPOTHESIS = record(
         "friction", "grip",  # -, -: of the tyres; largest steady lateral acceleration over g
         "tyre_shape",  # of the tyre's curve, see `physics.tyre.TyreCurve`
         "score", "evidence",  # logarithm of the weight, and of the likelihood of the last sample
+        "recent",  # logarithm of the likelihood of the samples of `RECENT_TIME`, over that of the best
         ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
 )  # fmt: skip
@@ -117,7 +119,7 @@ RETURN_DISTANCE, EXCITED_SHARE, TELLING_SHARE = 300.0, 0.7, 0.4
 from which on samples tell frictions apart."""
 LEAST_SCORE = -6.0
 """Of a hypothesis, so that a friction that falls is noticed soon."""
-RISE_DISTANCE = 80.0
+RISE_DISTANCE = 25.0
 """m, over which the low end rises."""
 WIDTH_CAUTION, LARGEST_CAUTION = 0.35, 0.15
 """Share of the low end that bends ahead and drive forces do not use, over the width of the interval relative to its
@@ -125,8 +127,11 @@ high end; at most. Brakes use the low end."""
 CERTAIN_RESERVE = 0.1
 """Share of a friction that is certain which bends ahead and drive forces do not use while the steering is learned, or
 the driven axle is assumed."""
-EVIDENCE_SHARE = 0.15
+EVIDENCE_SHARE = 0.2
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
+RECENT_TIME, LEAST_RECENT, FALL_EVIDENCE, FALL_SHARE = 0.5, -2.5, 0.4, 0.75
+"""s, over which evidence counts as recent, and its least logarithm. The friction has fallen where a lower one explains
+recent samples better by this logarithm than the low end and all above, and the tyres use this share of it."""
 SURPRISE_TIME, LEAST_SURPRISE = 5.0, 0.3
 """s, over which larger innovations than assumed are noticed: samples then count less."""
 FRICTION_INNOVATION_BOUND = 3.0
@@ -379,6 +384,19 @@ def _forget(estimate):
         h.score = -log(float(estimate.bank.size // _shapes(estimate)))
 
 
+@inlined
+def _has_fallen(memory, estimate):
+    """Whether recent samples speak for less friction than the low end: a generalised likelihood ratio."""
+    bank, kept, fallen = estimate.bank, -math.inf, -math.inf
+    spacing = (bank[bank.size - 1].friction - bank[0].friction) / max(bank.size // _shapes(estimate) - 1, 1)
+    for h in bank:
+        if h.friction >= memory.least - 0.25 * spacing:
+            kept = max(kept, h.recent)
+        elif memory.used <= h.grip and FALL_SHARE * GRAVITY * h.friction <= abs(memory.pull):
+            fallen = max(fallen, h.recent)
+    return fallen - kept > FALL_EVIDENCE
+
+
 @exported(void(FrictionSample, LearnedRow, float64, float64, FrictionEstimate))
 def estimate_friction(sample, knowledge, force, pull, estimate):
     """Take in a sample (`FrictionSample`) at a control instant; write the ends of the interval to the memory.
@@ -441,15 +459,21 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     for h in bank:
         if memory.running < 0.5:
             _begin_filter(h, yaw_rate, knowledge)
-            h.evidence = 0.0
+            h.evidence, h.recent = 0.0, 0.0
         else:
             h.evidence = _correct(h, memory.angle, sample, motion, estimate.variances, c)
             _bound(h, speed, yaw_rate, knowledge)
         best = max(best, h.evidence)
     memory.surprise += step / SURPRISE_TIME * (-2.0 * best - memory.surprise)
+    telling = 0.0
     if abs(memory.pull) > TELLING_SHARE * memory.least * GRAVITY:
-        for h in bank:
-            h.score += EVIDENCE_SHARE * h.evidence / max(memory.surprise, LEAST_SURPRISE)
+        telling = 1.0 / max(memory.surprise, LEAST_SURPRISE)
+    fading = exp(-step / RECENT_TIME)
+    for h in bank:
+        h.score += EVIDENCE_SHARE * telling * h.evidence
+        h.recent = max(fading * h.recent + telling * (h.evidence - best), LEAST_RECENT)
+    if _has_fallen(memory, estimate):
+        _forget(estimate)
     memory.running = 1.0
     _weigh(distance, memory, estimate)
 
