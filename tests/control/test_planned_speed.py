@@ -44,15 +44,15 @@ class Drive:
         )
         car = PointMass(float(speeds.speed[0]) if speed is None else speed, CAR.mass, DRIVE, BRAKES)
         car.s, rows, self.requests = place, [], []
-        sample, memory, own = controller.record.sample[0], controller.record.memory[0], planner.memory[0]
+        sample, memory, state = controller.record.sample[0], controller.record.memory[0], planner.memory[0]
         for k in range(round(seconds / PERIOD)):
             time = start + k * PERIOD
             keep_time(time, car.s, car.v, planner)
             if is_timed:
-                sample.is_timed, sample.correction, sample.correction_limit = 1.0, own.correction, own.top_speed
-                memory.is_released = max(memory.is_released, own.is_leaving)
+                sample.is_timed, sample.correction, sample.correction_limit = 1.0, state.correction, state.top_speed
+                memory.is_released = max(memory.is_released, state.is_leaving)
             self.requests.append(controller.step(car.s, car.v, 0.0))
-            rows.append((time, car.s, car.v, own.late, own.correction, self.requests[-1].acceleration))
+            rows.append((time, car.s, car.v, state.late, state.correction, self.requests[-1].acceleration))
             car.move(self.requests[-1].force, self.requests[-1].hold)
         self.time, self.place, self.speed, self.late, self.correction, self.acceleration = np.array(rows).T
 

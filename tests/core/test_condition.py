@@ -141,12 +141,12 @@ def test_a_mirrored_or_rotated_trajectory_gives_mirrored_or_rotated_nodes(has_ya
 def test_a_rear_axle_on_a_circle_puts_the_centre_of_mass_on_the_wider_one(columns):
     """sqrt(R^2 + l_r^2): l_r^2 / 2 R wider, 16 cm at 6 m; and faster by as much."""
     points, yaw = on_circle(6.0)
-    given = {"yaw": yaw, "speed": 3.0, "curvature": 1.0 / 6.0}
-    nodes = nodes_of(*points, arm=REAR, **{name: given[name] for name in columns})
-    wide = math.hypot(6.0, REAR)
-    assert np.hypot(nodes[:, NODE.x], nodes[:, NODE.y] - 6.0) == pytest.approx(wide, rel=1e-12)
-    assert wide - 6.0 == pytest.approx(REAR**2 / 12.0, rel=0.02)
-    assert nodes[:, NODE.speed] == pytest.approx(3.0 * wide / 6.0, rel=1e-5)
+    columns_of = {"yaw": yaw, "speed": 3.0, "curvature": 1.0 / 6.0}
+    nodes = nodes_of(*points, arm=REAR, **{name: columns_of[name] for name in columns})
+    outer_radius = math.hypot(6.0, REAR)
+    assert np.hypot(nodes[:, NODE.x], nodes[:, NODE.y] - 6.0) == pytest.approx(outer_radius, rel=1e-12)
+    assert outer_radius - 6.0 == pytest.approx(REAR**2 / 12.0, rel=0.02)
+    assert nodes[:, NODE.speed] == pytest.approx(3.0 * outer_radius / 6.0, rel=1e-5)
 
 
 @pytest.mark.parametrize("has_speed", [False, True])
@@ -155,8 +155,8 @@ def test_a_front_axle_on_a_circle_puts_the_centre_of_mass_on_the_narrower_one(ha
     rear, front = 6.0, math.hypot(6.0, 2.7)
     points, direction = on_circle(front)
     speed = 3.0 * rear / front
-    given = {"yaw": direction - math.atan2(2.7, rear)} | ({"speed": speed} if has_speed else {})
-    nodes = nodes_of(*points, arm=2.7 + REAR, **given)
+    columns_of = {"yaw": direction - math.atan2(2.7, rear)} | ({"speed": speed} if has_speed else {})
+    nodes = nodes_of(*points, arm=2.7 + REAR, **columns_of)
     narrow = math.hypot(rear, REAR)
     assert np.hypot(nodes[:, NODE.x], nodes[:, NODE.y] - front) == pytest.approx(narrow, rel=1e-9)
     assert nodes[:, NODE.speed] == pytest.approx(speed * narrow / rear, rel=1e-3)
@@ -311,6 +311,6 @@ def test_noise_of_5_cm_is_never_refused(columns):
         speed, radius = random.uniform(5.0, 25.0), random.uniform(20.0, 300.0)
         (t, x, y), yaw = on_circle(radius, speed, 60.0 / speed, 1.0 / speed)
         x, y = x + 0.05 * random.standard_normal(t.size), y + 0.05 * random.standard_normal(t.size)
-        given = {"yaw": yaw, "speed": speed}
-        nodes = nodes_of(t, x, y, arm=REAR, **{name: given[name] for name in columns})
+        columns_of = {"yaw": yaw, "speed": speed}
+        nodes = nodes_of(t, x, y, arm=REAR, **{name: columns_of[name] for name in columns})
         assert np.abs(nodes[:, NODE.speed] / speed - 1.0).max() < 0.2

@@ -18,15 +18,15 @@ def line(x, speed, stamp=10.0):
     return PlannedTrajectory((x - x[0]) / speed, x, np.zeros_like(x), speed=np.full(x.size, speed), stamp=stamp)
 
 
-def command(mode, now, y=0.3):
+def command(mode, time, y=0.3):
     """The steering command (rad) of a car at x = 0, beside a line that bends to the left from x = 30 m on."""
     follow = AutowareFollow(CAR, "road", mode)
     x = np.linspace(-10.0, 60.0, 71)
     bent = 0.5 * 0.02 * np.maximum(x - 30.0, 0.0) ** 2
     t = (x + 10.0) / 10.0
     follow.follow(PlannedTrajectory(t, x, bent, speed=np.full(x.size, 10.0), stamp=10.0), now=10.0)
-    signals = {"lateral_velocity": 0.0, "now": now}
-    return [follow.step(now, 0.0, y, 0.0, 10.0, 0.0, **signals).command for _ in range(3)][-1]
+    signals = {"lateral_velocity": 0.0, "now": time}
+    return [follow.step(time, 0.0, y, 0.0, 10.0, 0.0, **signals).command for _ in range(3)][-1]
 
 
 def test_on_time_both_modes_steer_alike_and_an_error_in_time_moves_only_the_temporal_one():

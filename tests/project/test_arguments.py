@@ -181,6 +181,7 @@ BOUNDS = {
     " traction_limit brake_limit steering_rate steering_limit steering_ratio [1, 10];"
     "lf track_front track_rear cg_height width front_overhang rear_overhang [0, 5]; length [0, 10];"
     "drive_front brake_front steering_lag steering_dead_time [0, 1]",
+    "Following": "silence oldest (0, 60]; fallback_age (0, 600]; catch_up [0, 1]; speed_limit (0, 100]",
     "LQR": "q_e q_heading r (0, inf)",
     "LearnedCar": "lag lag_sigma dead_time dead_time_sigma delay_sigma stiffness_sigma balance_sigma [0, 10];"
     "stiffness balance (0, 100]; bias [-1, 1]; bias_sigma [0, 1]; seconds [0, inf)",

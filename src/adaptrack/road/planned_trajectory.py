@@ -238,7 +238,7 @@ class PlannedTrajectory:
         states
             A list, or a trajectory of CommonRoad with its `state_list`.
         time_step
-            Duration of a time step (`Scenario.dt`), s. Step 0 is the time of the stamp.
+            Duration of a time step (``dt`` of a CommonRoad scenario), s. Step 0 is the time of the stamp.
         """
         rows = [
             (time_step * state.time_step, *state.position[:2],

@@ -109,7 +109,8 @@ def _structure(header: str, name: str) -> Any:
     """A structure of the header by its name."""
     body = re.search(r"typedef struct \{((?:(?!typedef struct).)*?)\} " + name + ";", header, re.DOTALL)
     assert body is not None, name
-    text = re.sub(r"/\*.*?\*/|^#.*?$", "", body[1], flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"^#if [^\n]*!ADAPTRACK_SPEED_CONTROL$.*?^#endif$", "", body[1], flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"/\*.*?\*/|^#.*?$", "", text, flags=re.DOTALL | re.MULTILINE)
     fields = []
     for declaration in filter(None, (part.split() for part in text.split(";"))):
         kind = KINDS.get(declaration[0], ctypes.c_int)

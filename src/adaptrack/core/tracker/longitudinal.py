@@ -173,12 +173,12 @@ def _keep_planned_time(planned, sample, memory):
     """
     if planned.memory.size == 0:
         return
-    own = planned.memory[0]
-    sample.is_timed, sample.correction, sample.correction_limit = 0.0, 0.0, own.top_speed
-    if own.driven_by == PLANNER or own.driven_by == FALLBACK:
-        sample.is_timed, sample.correction = 1.0, own.correction
-        memory.is_released = max(memory.is_released, own.is_leaving)
-    elif own.driven_by == STOP:
+    planner_memory = planned.memory[0]
+    sample.is_timed, sample.correction, sample.correction_limit = 0.0, 0.0, planner_memory.top_speed
+    if planner_memory.driven_by == PLANNER or planner_memory.driven_by == FALLBACK:
+        sample.is_timed, sample.correction = 1.0, planner_memory.correction
+        memory.is_released = max(memory.is_released, planner_memory.is_leaving)
+    elif planner_memory.driven_by == STOP:
         sample.is_guided = 0.0
 
 

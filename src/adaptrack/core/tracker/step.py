@@ -47,7 +47,7 @@ Tracking = record(
 """A tracker with its controller, and with a speed control where it has one."""
 _narrow_friction = Caller(void(Place(TrackerRecord), vector, Place(Longitudinal)))
 _control_speed = Caller(void(Place(TrackerRecord), Place(Longitudinal)))
-_one, _aligned, _beliefs_at = local(1), local(len(SAMPLE)), viewer(Beliefs)
+_reference, _aligned, _beliefs_at = local(1), local(len(SAMPLE)), viewer(Beliefs)
 
 
 # -- arrive -----------------------------------------------------------------------------------------------------------
@@ -241,7 +241,7 @@ def _write_variables(tracker):
 @inlined
 def _control(slot, tracking):
     """The controller's step."""
-    tracker, m, reference = tracking.tracker, tracking.tracker.memory[0], _one()
+    tracker, m, reference = tracking.tracker, tracking.tracker.memory[0], _reference()
     reference[0] = m.aside
     _write_variables(tracker)
     control(
