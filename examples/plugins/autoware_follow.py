@@ -25,13 +25,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from adaptrack import KinematicMPC, SpeedControl, road_through
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.speed_control import SpeedCommand, SpeedState
 from adaptrack.drive.planner import PlannedController
 from adaptrack.road import Comfort, Road, SpeedPlan, Stop
-from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.road_ahead import RoadAhead
 from autoware_speed import AutowareFollower, AutowareSpeed
 
@@ -89,18 +88,18 @@ class AutowareFollow:
     """Follows trajectories, called as a `Tracker` is."""
 
     def __init__(self, car: Vehicle, profile: str, mode: Literal["spatial", "temporal"]) -> None:
-        self.mpc, self._mode = KinematicMPC(car, profile=profile, preview=True), mode
+        self.mpc, self._mode = at.KinematicMPC(car, profile=profile, preview=True), mode
         self._settings, self._followed, self._angle = AutowareSpeed(car), None, 0.0
         self._follower: Any = None
         self._pose = (0.0, 0.0, 0.0, 0.0)
 
-    def follow(self, trajectory: PlannedTrajectory, fallback: Any = None, now: float = 0.0) -> None:
+    def follow(self, trajectory: at.PlannedTrajectory, fallback: Any = None, now: float = 0.0) -> None:
         """Follow a trajectory from now on; one that is no line is left out."""
         given = trajectory.given
         kept = np.append(True, np.hypot(*np.diff(given[:, 1:3], axis=0).T) > MERGED)
         points, stamp = given[kept][:, 1:3], trajectory.stamp or now
         try:
-            road = road_through(points)
+            road = at.road_through(points)
         except InvalidInput:
             return
         length = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
@@ -164,7 +163,7 @@ class AutowareController(PlannedController):
     """The follower as the controller of a simulated drive behind a planner."""
 
     def __init__(self, car: Vehicle, planner: Any, *, profile: str, mode: Literal["spatial", "temporal"]) -> None:
-        super().__init__(KinematicMPC(car, profile=profile, preview=True), SpeedControl(car), planner)
+        super().__init__(at.KinematicMPC(car, profile=profile, preview=True), at.SpeedControl(car), planner)
         self._of = car, profile, mode
 
     def make_tracker(self) -> Any:

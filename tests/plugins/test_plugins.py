@@ -14,7 +14,8 @@ CONTRACTS = {
     "cars.plant", "cars.vehicle", "control.controllers.base", "control.controllers.belief",
     "control.controllers.informed", "control.controllers.inputs", "control.controllers.limits",
     "control.controllers.registry", "control.controllers.setup", "control.kalman", "control.models", "control.qp",
-    "control.speed_control", "core.public", "drive.drivers", "road", "road.road_ahead", "scenario.profile",
+    "control.speed_control", "core.public", "drive.drivers", "drive.planner", "road", "road.road_ahead",
+    "scenario.profile",
 }  # fmt: skip
 """Modules that a plug-in may import, in addition to those of `base`."""
 
