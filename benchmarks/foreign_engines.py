@@ -3,10 +3,12 @@
     pip install --target DIR mujoco pybullet      # not dependencies of this package; DIR must not shadow our NumPy
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco mujoco-creep] [--only learning] [--json]
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --speed-control [--engine mujoco pybullet] [--seeds 3]
-    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --worlds 20 --engine mujoco-creep pybullet [--late .06]
+    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --worlds 20 --engine mujoco-creep pybullet-soft [--late .06]
 
-Four wheels touch the ground by the engine's own contact and friction (`mujoco-creep`: as soft as real tyres at 15 m/s);
-nothing of our plants or tyres is in it. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
+Four wheels touch the ground by the engine's own contact and friction; nothing of our plants or tyres is in it. An axle
+of `mujoco-creep` is as stiff as real ones at 15 m/s (18 and 22 1/rad over its load, front and rear), by a contact that
+creeps; one of `pybullet-soft` (18 and 28), by wheels that trail behind springs. `mujoco` (120) and `pybullet` (730) are
+stiffer than any car. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
 and dead time are imposed and told to nobody.
 A call every 0.05 s, with the noise of profile `road`; speed: planned, held by torque at the wheels. Every controller is
 told mass and wheelbase (`vehicle_from_data_sheet`), "delay told" the steering as well. Roads: two mountain roads at 4
@@ -61,6 +63,7 @@ INERTIA = (550.0, 2400.0, 2700.0)
 RATE = 0.6
 """rad/s"""
 DELAYS = {"mujoco": (0.20, 0.10), "mujoco-creep": (0.20, 0.10), "pybullet": (0.15, 0.15)}
+DELAYS["pybullet-soft"] = DELAYS["pybullet"]
 """s, lag and dead time of the steering"""
 DRIVE_DELAY, BRAKE_DELAY = (0.25, 0.15), (0.12, 0.10)
 """s, lag and dead time"""
@@ -206,15 +209,21 @@ class MuJoCo:
 
 
 class PyBullet:
-    """Rigid axles on spheres that roll by Bullet's contact: Coulomb friction without creep (E. Coumans)."""
+    """Rigid axles on spheres that roll by Bullet's contact: Coulomb friction without creep (E. Coumans).
+
+    springs: N m/rad, of the front and rear wheels, which trail behind their hinges; None: they do not yield. One car at
+    a time: a new one replaces the last.
+    """
 
     brake_front = 0.5
 
-    def __init__(self) -> None:
+    def __init__(self, springs: tuple[float, float] | None = None) -> None:
         import pybullet
 
-        self.bullet = pybullet
-        self.client = pybullet.connect(pybullet.DIRECT)
+        self.bullet, self.springs = pybullet, springs
+        if not pybullet.isConnected():
+            pybullet.connect(pybullet.DIRECT)
+        pybullet.resetSimulation()
         pybullet.setTimeStep(DT)
         self.ground = pybullet.createMultiBody(0.0, pybullet.createCollisionShape(pybullet.GEOM_PLANE))
         with tempfile.TemporaryDirectory() as folder:
@@ -222,14 +231,14 @@ class PyBullet:
             path.write_text(self._urdf())
             self.car = pybullet.loadURDF(str(path), [0.0, 0.0, HEIGHT], flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
         names = [pybullet.getJointInfo(self.car, j)[1].decode() for j in range(pybullet.getNumJoints(self.car))]
-        self.steers = [names.index(f"steer{i}") for i in range(2)]
+        self.steers = [names.index(f"steer{i}") for i in range(2 if springs is None else 4)]
         self.spins = [names.index(f"spin{i}") for i in range(4)]
         for body, link in [(self.ground, -1), *((self.car, j) for j in range(-1, len(names)))]:
             pybullet.changeDynamics(
                 body, link, lateralFriction=1.0, rollingFriction=0.0, spinningFriction=0.0, linearDamping=0.0,
                 angularDamping=0.0, jointDamping=0.0,
             )  # fmt: skip
-        for joint in self.spins:
+        for joint in self.spins if springs is None else self.spins + self.steers:
             pybullet.setJointMotorControl2(self.car, joint, pybullet.VELOCITY_CONTROL, force=0.0)
 
     @staticmethod
@@ -245,16 +254,16 @@ class PyBullet:
         sphere = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
         for i, (arm, side) in enumerate(zip(ARMS, SIDES, strict=True)):
             place = f'<origin xyz="{arm} {side} {RADIUS - HEIGHT}"/>'
-            parent = "body"
-            if i < 2:
+            parent, is_hinged = "body", i < 2 or self.springs is not None
+            if is_hinged:
                 parent = f"hub{i}"
                 parts += self._link(parent, 4.0, (0.1, 0.1, 0.1))
                 parts += (
                     f'<joint name="steer{i}" type="revolute"><parent link="body"/><child link="{parent}"/>{place}'
                     '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1e6" velocity="100"/></joint>'
                 )
-                place = ""
-            parts += self._link(f"wheel{i}", WHEEL - (4.0 if i < 2 else 0.0), (0.5, 0.9, 0.5), sphere)
+                place = "" if self.springs is None else f'<origin xyz="{-TRAIL} 0 0"/>'
+            parts += self._link(f"wheel{i}", WHEEL - (4.0 if is_hinged else 0.0), (0.5, 0.9, 0.5), sphere)
             parts += (
                 f'<joint name="spin{i}" type="continuous"><parent link="{parent}"/><child link="wheel{i}"/>{place}'
                 '<axis xyz="0 1 0"/></joint>'
@@ -272,13 +281,10 @@ class PyBullet:
             self.bullet.resetJointState(self.car, joint, 0.0, speed / RADIUS)
 
     def step(self, angle: float, force: float, push: float, brake: float = 0.0) -> None:
-        angles = ackermann(angle)
-        rates = [(new - old) / DT for new, old in zip(angles, self.before, strict=True)]
-        self.before = angles
-        self.bullet.setJointMotorControlArray(
-            self.car, self.steers, self.bullet.POSITION_CONTROL, targetPositions=angles, targetVelocities=rates,
-            forces=[2e4, 2e4], positionGains=[0.4, 0.4], velocityGains=[1.0, 1.0],
-        )  # fmt: skip
+        if self.springs is None:
+            self._turn_wheels(ackermann(angle))
+        else:
+            self._yield((*ackermann(angle), 0.0, 0.0))
         self.bullet.setJointMotorControlArray(
             self.car, self.spins, self.bullet.VELOCITY_CONTROL, forces=brake_torques(brake, self.brake_front)
         )  # a motor for speed 0 with a bounded torque is a brake
@@ -288,6 +294,21 @@ class PyBullet:
         if push:
             self.bullet.applyExternalForce(self.car, -1, [0.0, push, 0.0], [0.0] * 3, self.bullet.LINK_FRAME)
         self.bullet.stepSimulation()
+
+    def _turn_wheels(self, angles: tuple[float, ...]) -> None:
+        """Turn the front wheels to their angles (rad)."""
+        rates = [(new - old) / DT for new, old in zip(angles, self.before, strict=True)]
+        self.before = angles
+        self.bullet.setJointMotorControlArray(
+            self.car, self.steers, self.bullet.POSITION_CONTROL, targetPositions=angles, targetVelocities=rates,
+            forces=[2e4, 2e4], positionGains=[0.4, 0.4], velocityGains=[1.0, 1.0],
+        )  # fmt: skip
+
+    def _yield(self, angles: tuple[float, ...]) -> None:
+        """Pull all wheels towards their angles (rad) by springs and dampers."""
+        joints = self.bullet.getJointStates(self.car, self.steers)
+        torques = [self.springs[i // 2] * (angles[i] - joint[0]) - DAMPING * joint[1] for i, joint in enumerate(joints)]
+        self.bullet.setJointMotorControlArray(self.car, self.steers, self.bullet.TORQUE_CONTROL, forces=torques)
 
     def state(self) -> State:
         where, turned = self.bullet.getBasePositionAndOrientation(self.car)
@@ -304,8 +325,11 @@ class PyBullet:
 
 CREEP = (0.13, 0.11)
 """s: understeering by 1.5 deg/g at 6 m/s, .6 at 15, .4 at 25"""
+SPRINGS, TRAIL, DAMPING = (4000.0, 4500.0), 0.05, 40.0
+"""N m/rad at the front and the rear wheels, m, N m s/rad."""
 ENGINES: dict[str, Callable[[], Engine]] = {
-    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP), "pybullet": PyBullet,
+    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP),
+    "pybullet": PyBullet, "pybullet-soft": lambda: PyBullet(SPRINGS),
 }  # fmt: skip
 
 
@@ -580,9 +604,10 @@ def drive_worlds(
 ) -> None:  # fmt: skip
     """Print a row for each slippery world, with its driven axle known and unknown, and a summary."""
     rows: list[dict[str, Any]] = []
-    cars = {name: ENGINES[name]() for name in engines}
-    for (name, engine), number in itertools.product(cars.items(), numbers):
-        engine.brake_front = BRAKE_FRONT
+    for name, number in itertools.product(engines, numbers):
+        if number == numbers[0]:
+            engine = ENGINES[name]()
+            engine.brake_front = BRAKE_FRONT
         world, trip = slippery_world(seed, number, friction, late)
         trip = replace(trip, seconds=min(trip.seconds, seconds))
         for label, driven_axle in {"axle known": "rear", "axle unknown": None}.items():

@@ -16,11 +16,11 @@ from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedAction, SpeedCon
 from adaptrack.control.tracker import Status, join
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
-from adaptrack.core.kernel import direct
+from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed import speed_control as kernel
 from adaptrack.core.speed.stops import STOP_TOLERANCE
-from adaptrack.core.tracker.longitudinal import longitudinal_step
+from adaptrack.core.tracker.longitudinal import longitudinal_step, speed_control_step
 from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.drive.closed_loop import ClosedLoop
@@ -244,6 +244,43 @@ def test_governed_speeds_keep_their_share_of_the_assumed_friction_and_the_brakin
         assert (lateral[inside] <= control.governor * 0.4 * GRAVITY + 0.3).all()  # cells of half a metre
         assert (-np.diff(squares) / (2.0 * spacing) <= plan.comfort.brake + 1e-9).all()
         assert (squares <= plan.at(places) ** 2 * 1.01 + 0.3)[inside].all()
+
+
+def _governed_squares(friction: float | tuple[float, float], age: float) -> Any:
+    """Governed squares of the speeds (m^2/s^2) in a long bend, behind speeds that come with an age (s)."""
+    road = Road.from_segments([Arc(length=900.0, curvature=0.01)])
+    controller = _controller(road, SpeedControl(CAR, friction=friction), comfort=Comfort(lateral=20.0))
+    for k in range(100):
+        controller.record.sample[:] = kernel.SPEED_SAMPLE.new(
+            1, station=0.25 * k, station_age=age, speed=5.0, speed_age=age, yaw_rate=math.nan, acceleration=math.nan,
+            is_guided=1.0, top_speed=math.inf, grade=math.nan, periods=1.0,
+        )  # fmt: skip
+        speed_control_step(Resident(controller.record))
+    return controller.record.ahead[:50].copy()
+
+
+def test_late_samples_leave_a_part_of_a_certain_friction_and_none_of_the_low_end_of_a_wide_interval() -> None:
+    fresh, late = _governed_squares(0.4, 0.0), _governed_squares(0.4, 0.06)
+    left = 1.0 - kernel.LATE_CAUTION * 0.06
+    np.testing.assert_allclose(late, left * fresh, rtol=0.01)  # the mean age approaches the age
+    np.testing.assert_array_equal(_governed_squares((0.4, 0.9), 0.06), _governed_squares((0.4, 0.9), 0.0))
+    np.testing.assert_allclose(_governed_squares(0.4, 0.4), (1.0 - kernel.LARGEST_LATE_CAUTION) * fresh)
+
+
+def test_a_drive_force_leaves_the_tyres_what_the_bend_asks_for_in_which_it_acts() -> None:
+    road = Road.from_segments([Line(length=100.0), Arc(length=200.0, curvature=0.02)])
+    drive = DriveActuator(lag=0.3, dead_time=0.2)
+    forces = {}
+    for place in (50.0, 97.0, 110.0):  # m: before the bend by more and by less than the way until the force acts
+        controller = _controller(road, SpeedControl(CAR, friction=0.3, drive=drive), comfort=Comfort(lateral=20.0))
+        forces[place] = controller.step(place, 9.0, 0.0).force
+    assert forces[97.0] == pytest.approx(forces[110.0], rel=0.05)
+    assert 0.0 < forces[97.0] < 0.7 * forces[50.0]
+
+
+def test_the_drive_force_of_an_assumed_driven_axle_is_one_that_a_rear_axle_carries() -> None:
+    assumed = SpeedControl(CAR.replace(estimated=(*CAR.estimated, "drive_front"))).settings(PERIOD, COMFORT)
+    np.testing.assert_equal(assumed, SpeedControl(CAR.replace(drive_front=0.0)).settings(PERIOD, COMFORT))
 
 
 def test_a_simulated_car_is_driven_by_a_speed_control_as_near_to_its_plan_as_by_a_driver() -> None:

@@ -240,6 +240,8 @@ class SpeedControl:
             traction_limit = min(traction_limit, max(row[-1] for row in pedals.force))
             brake_limit = min(brake_limit, pedals.brake_force[-1])
         numbers = {field.name: getattr(car, field.name) for field in (*AXLES, *POWERTRAIN)}
+        if "drive_front" in car.estimated:
+            numbers["drive_front"] = 0.0  # the rear axle carries the least, and a car that loses it spins
         return kernel.SpeedSettings(
             **numbers | {"traction_limit": traction_limit, "brake_limit": brake_limit},
             period=period, drag=drag, rolling=rolling,

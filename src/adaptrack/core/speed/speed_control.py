@@ -126,6 +126,7 @@ SPEED_MEMORY = record(
         "motion",  # m/s^2, acceleration of the car, filtered
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
         "measured_speed", "speed_age",  # m/s, s: last measured speed, and its age now
+        "lateness",  # s, mean age of the measured speeds when they come
         "settled",  # s, for which the requests have acted alone, without a driver
         "carried_speed",  # m/s, measured speed carried to the present, known or not
         "place_speed",  # m/s, measured speed carried to the present, unfiltered: it moves the station
@@ -191,6 +192,12 @@ STRAIGHT = 1e-5
 """1/m, below which a curvature limits no speed."""
 LATERAL_SMOOTHING = 0.35
 """Share of a new measurement in the filtered lateral acceleration."""
+LATENESS_SMOOTHING = 0.05
+"""Share of a new age in the mean age of the samples."""
+LATE_CAUTION, LARGEST_LATE_CAUTION = 4.0, 0.3
+"""1/s, -: share of the friction that bends ahead and drive forces do not use, over the mean age of samples; at most."""
+RATIO_CAUTION = 0.5
+"""Standard deviations of the drive's gain over the mass, by which a drive force may be larger than it was requested."""
 SLIDE_TIME, SLIDE_CAUTION, LARGEST_SLIDE_SHARE = 5.0, 0.5, 0.4
 """s, in which a slide is forgotten; -, share of it that bends ahead do not use, and the largest of their grip."""
 SWAY_TIME, SWAY_CAUTION, SWAY_MARGIN = 2.0, 3.0, 0.45
@@ -252,10 +259,10 @@ LEAST_SPEED_AHEAD = 0.3
 
 ControlPeriod = record(
     "ControlPeriod",
-    ("duration", "slope", "lateral", ("drive", learning.ActuatorBelief), ("brakes", learning.ActuatorBelief)),
+    ("duration", "slope", "lateral", "bend", ("drive", learning.ActuatorBelief), ("brakes", learning.ActuatorBelief)),
 )
-"""A control period: s; deceleration by the slope (m/s^2), larger of measured and planned lateral acceleration (m/s^2);
-the beliefs about drive and brakes, at present."""
+"""A control period: s; deceleration by the slope (m/s^2); larger of measured and planned lateral acceleration, and the
+planned one until a drive force acts (m/s^2); the beliefs about drive and brakes, at present."""
 
 
 # -- the path ---------------------------------------------------------------------------------------------------------
@@ -287,6 +294,16 @@ def _axle_forces(friction, lateral, settings):
 def slope_of(grade):
     """Deceleration (m/s^2) by gravity on a grade (dz/ds, positive uphill)."""
     return GRAVITY * grade / sqrt(1.0 + square(grade))
+
+
+@inlined
+def _cautious_friction(memory):
+    """Return the friction of bends ahead and of drive forces.
+
+    Late samples show a swing of the car late. What is left for it counts from the middle of the friction's interval.
+    """
+    late = min(LATE_CAUTION * memory.lateness, LARGEST_LATE_CAUTION)
+    return min(memory.cautious_friction, 0.5 * (1.0 - late) * (memory.friction + memory.friction_high))
 
 
 # -- the governor -----------------------------------------------------------------------------------------------------
@@ -340,7 +357,7 @@ def _govern(sample, top_square, push, settings, path, memory, ahead):
     """
     station = memory.station
     first, grip = whole(floor(station / path.spacing)), memory.friction * GRAVITY
-    bend_grip = settings.governor * memory.cautious_friction * GRAVITY
+    bend_grip = settings.governor * _cautious_friction(memory) * GRAVITY
     bend_grip -= min(SLIDE_CAUTION * memory.slide, LARGEST_SLIDE_SHARE * bend_grip)
     for j in range(ahead.size):
         cell = cell_at((first + j + 0.5) * path.spacing, path)
@@ -400,13 +417,13 @@ def _request(acceleration, speed, period, settings, memory):
         friction = memory.friction_high
     elif tyres > 0.0:
         sway = SWAY_CAUTION * (1.0 - settings.drive_front) * memory.sway
-        lateral = (lateral + sway) * friction / memory.cautious_friction
+        lateral = (max(lateral, period.bend) + sway) * friction / _cautious_friction(memory)
     elif acceleration < -settings.brake:
         friction = 0.5 * (memory.friction + memory.friction_high)
     bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY) if tyres <= 0.0 else lateral
     driving, braking = _axle_forces(friction, bend, settings)
     powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
-    strongest = settings.guard * driving / drive.ratio  # a request: the tyres have its ratio, per mass
+    strongest = settings.guard * driving / (drive.ratio + RATIO_CAUTION * drive.ratio_sigma)  # the tyres have its ratio
     weakest = -max(settings.guard * braking, LEAST_BRAKING * settings.mass) / brakes.ratio
     force = clip(clip(demand, weakest, strongest), -settings.brake_limit, powertrain)
     force = min(force, 0.0) if memory.is_braking > 0 else max(force, 0.0)
@@ -733,6 +750,7 @@ def _learn(sample, dt, slope, settings, memory, banks):
         return
     before, is_first = memory.measured_speed, elapsed > SPEED_GRACE
     memory.measured_speed, memory.speed_age = sample.speed, sample.speed_age
+    memory.lateness += LATENESS_SMOOTHING * (sample.speed_age - memory.lateness)
     if is_first:
         before, elapsed, memory.settled = sample.speed, SPEED_GRACE, 0.0
         learning.forget_speeds(banks)
@@ -812,6 +830,16 @@ def _locate(sample, before, dt, path, memory):
 
 
 @inlined
+def _bend_ahead(way, path, memory, ahead):
+    """Return the largest lateral acceleration (m/s^2) of the path, at governed speeds, on the way (m) ahead."""
+    largest, first = 0.0, whole(floor(memory.station / path.spacing))
+    for j in range(min(whole(way / path.spacing) + 1, ahead.size)):
+        cell = cell_at((first + j + 0.5) * path.spacing, path)
+        largest = max(largest, abs(ahead[j] * path.curvature[cell] - path.bank[cell]))
+    return largest
+
+
+@inlined
 def _sense_lateral(yaw_rate, path, memory, dt):
     """Filter the lateral acceleration, slide and sway (m/s^2); return the larger of that measured and of the path's."""
     cell = cell_at(memory.station, path)
@@ -853,7 +881,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     is_braked = memory.force < 0.0 or memory.hold > 0.0
     memory.creeping = memory.creeping + dt if is_braked and abs(memory.speed) < CREEPING_SPEED else 0.0
     _govern(sample, top_square, max(brakes.disturbance, 0.0), settings, path, memory, ahead)
-    period = ControlPeriod(dt, slope, lateral, drive, brakes)
+    bend = _bend_ahead(max(memory.speed, 0.0) * (drive.dead_time + drive.lag), path, memory, ahead)
+    period = ControlPeriod(dt, slope, lateral, bend, drive, brakes)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if sample.driver > 0.0:
         _yield_to_driver(period, settings, memory, banks)
