@@ -31,30 +31,30 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2270,
-    "core": 25770,
+    "core": 27450,
     "cars": 2160,
-    "road": 4630,
+    "road": 4930,
     "scenario": 1850,
-    "control": 7260,
-    "drive": 2950,
+    "control": 7590,
+    "drive": 3210,
     "analysis": 1910,
     "identification": 5050,
     "tuning": 1630,
-    "comparison": 2040,
+    "comparison": 2060,
     "paper": 4170,
-    "export": 3060,
+    "export": 3120,
     "gym": 1300,
     "results": 4750,
-    "cli": 3400,
+    "cli": 3410,
     "adaptrack": 40,
-    "JavaScript, templates, C": 9710,
-    "tests": 42370,
-    "benchmarks, tools, experiments, examples": 16010,
+    "JavaScript, templates, C": 10080,
+    "tests": 44840,
+    "benchmarks, tools, experiments, examples": 17270,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 74_180
+SOURCE_LINES = 76_830
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 
