@@ -228,6 +228,26 @@ def test_a_planner_that_hides_an_offset_is_reported_and_one_that_shows_it_is_not
     assert not suspected_trajectories(0.05, begins_at_car=True)
 
 
+@pytest.mark.compiled
+def test_two_slow_planners_in_turn_hide_no_offset():
+    """At 5 m/s every second trajectory is a step of `MIN_PLACE_STEP` on: the places are all those of one planner."""
+    tracker = make_tracker()
+
+    def send(t, x):
+        seconds, side = np.arange(0.0, 4.0, 0.1), 0.2 * (-1.0) ** round(t / 0.1)
+        if round(t / 0.05) % 2:
+            return None
+        return PlannedTrajectory(seconds, x + 5.0 * seconds, 0.0 * seconds + side, speed=0.0 * seconds + 5.0, stamp=t)
+
+    answers = []
+    for k in range(240):
+        t = 0.05 * k
+        if (plan := send(t, 5.0 * t)) is not None:
+            tracker.follow(plan, now=t)
+        answers.append(tracker.step(t, 5.0 * t, 0.0, 0.0, 5.0, 0.0))
+    assert not [sentence for sentence in answers[-1].suspect if "trajectories" in sentence]
+
+
 # -- points of the car ------------------------------------------------------------------------------------------------
 def test_samples_of_the_rear_axle_are_those_of_the_centre_of_mass_moved_back():
     commands = []

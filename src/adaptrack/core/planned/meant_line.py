@@ -78,9 +78,9 @@ def hides_error(x, y, trajectory_offset, elapsed, settings, places, memory):
         return False
     share = clip(elapsed / OFFSET_TIME_CONSTANT, 0.0, 1.0)
     memory.meant_offset += share * (meant_offset - memory.meant_offset)
-    memory.given_offset += share * (trajectory_offset - memory.given_offset)
+    memory.given_offset += share * (abs(trajectory_offset) - memory.given_offset)
     size = abs(memory.meant_offset)
     is_large = size > max(MIN_HIDDEN_OFFSET, HIDDEN_SIGMAS * settings.position_noise)
-    is_hidden = is_large and abs(memory.given_offset) < MAX_SHOWN_SHARE * size
+    is_hidden = is_large and memory.given_offset < MAX_SHOWN_SHARE * size
     memory.hidden = memory.hidden + elapsed if is_hidden else 0.0
     return memory.hidden > MIN_HIDDEN_TIME

@@ -68,7 +68,7 @@ PLANNED_MEMORY = record(
         "disagreed",  # trajectories in a row that disagree with the followed line
         "returned",  # trajectories in a row that fit the car, since the planner fell silent
         # start of the trajectory, see `meant_line`:
-        "meant_offset", "given_offset",  # m, of the car from the intended line and from the new trajectory
+        "meant_offset", "given_offset",  # m, of the car from the intended line; mean size of that from new ones
         "hidden",  # s, for which both have contradicted each other
         "far_count",  # number of places in `far`
     ),
