@@ -48,7 +48,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 3410,
     "adaptrack": 40,
     "JavaScript, templates, C": 10080,
-    "tests": 44840,
+    "tests": 44860,
     "benchmarks, tools, experiments, examples": 17270,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
