@@ -54,7 +54,7 @@ CEILINGS: Mapping[str, int] = {
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 76_830
+SOURCE_LINES = 76_840
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 

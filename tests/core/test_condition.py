@@ -314,3 +314,9 @@ def test_noise_of_5_cm_is_never_refused(columns):
         columns_of = {"yaw": yaw, "speed": speed}
         nodes = nodes_of(t, x, y, arm=REAR, **{name: columns_of[name] for name in columns})
         assert np.abs(nodes[:, NODE.speed] / speed - 1.0).max() < 0.2
+
+
+def test_noise_of_two_points_at_almost_the_same_time_is_no_jump():
+    t = np.append(np.arange(0.0, 4.0, 0.1), 3.9 + 1e-6)
+    nodes = nodes_of(t, np.append(10.0 * t[:-1], 39.09), np.zeros(t.size))
+    assert (nodes[:, NODE.speed] < 12.0).all()

@@ -42,6 +42,8 @@ MIN_SLIP_COSINE = 0.8
 """Least cosine of the angle between the yaw and the motion of the tracked point; a larger angle is due to noise."""
 MAX_JUMP, JUMP_ACCELERATION = 0.5, 15.0
 """m, m/s^2: largest excess of a step over the way that the faster neighbouring step and this acceleration explain."""
+MERGING_TIME = 1e-3
+"""s, within which points up to `MAX_JUMP` apart are one place."""
 SPAN = 0.3
 """s, over which speeds are estimated."""
 SPEED_SPAN, SPEED_SHARE, SPEED_TOLERANCE = 1.0, 0.15, 0.5
@@ -181,7 +183,9 @@ def _write_times(draft, begins, count):
     last, k = -1, 0
     while k < count:
         begin, place, end = _find_rest(points, k, count)
-        is_near = last >= 0 and _gap(points, whole(work[max(last, 0), _WORK.entry]), place) <= MERGING_DISTANCE
+        before = whole(work[last, _WORK.entry]) if last >= 0 else 0
+        is_at_once = points[place, GIVEN.t] - points[before, GIVEN.t] < MERGING_TIME
+        is_near = last >= 0 and _gap(points, before, place) <= (MAX_JUMP if is_at_once else MERGING_DISTANCE)
         if is_near and begin < end and is_rest(nodes, last):
             nodes[last, NODE.leave] = begins + points[end, GIVEN.t]
         elif begin < end or not is_near:
