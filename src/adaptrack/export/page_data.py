@@ -112,6 +112,7 @@ from adaptrack.core.simulation import run
 from adaptrack.core.simulation.frame import FRAME, SPEED_FRAME
 from adaptrack.core.simulation.world import EXTERNAL_FORCES, SIGNAL
 from adaptrack.core.speed import path as speed_path
+from adaptrack.core.speed.friction import CERTAIN_RESERVE
 from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order
 from adaptrack.core.tracker.longitudinal import Longitudinal
@@ -295,7 +296,7 @@ def speed_numbers() -> dict[str, Any]:
         "settings": {name: getattr(settings, name) for name in names}, "bank": speed_banks(settings, 1.0).drive.size,
         "speeds_ahead": LONGEST_SPEEDS_AHEAD, "spacing": speed_path.PLACE_SPACING, "external_forces": EXTERNAL_FORCES,
         "knowledge": ASSUMED_KNOWLEDGE, "frictions": FRICTION_COUNT, "sensors": FRICTION_SENSORS,
-        "longest_delay": LONGEST_STEERING_DELAY,
+        "longest_delay": LONGEST_STEERING_DELAY, "reserve": CERTAIN_RESERVE,
     }  # fmt: skip
 
 

@@ -181,7 +181,8 @@ const inputs = (() => {
     for (const part of PARTS) parts[part] = byKey(given.sections[part], (field) => field.default);
     parts.known_within = byKey(given.sections.known_within, ({ key }) => finite(within[key]));
     const description = `estimated from ${sheet.mass} kg and ${sheet.wheelbase} m of wheelbase`;
-    return { name: sheet.name, description, numbers, ...parts, tyre: given.tyre };
+    const estimated = "drive_front" in sheet.known ? [] : ["drive_front"];
+    return { name: sheet.name, description, numbers, ...parts, tyre: given.tyre, estimated };
   }
 
   // -- points of a road ----------------------------------------------------------------------------------------------

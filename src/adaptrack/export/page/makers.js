@@ -138,6 +138,7 @@ function carOfRows(car, within) {
     rows,
     plain,
     domain: car.domain,
+    assumesDrive: car.estimated?.includes("drive_front") ?? false,
     outline: { ...outline.$numbers, lf, lr, track_front, track_rear },
   };
 }
@@ -519,8 +520,9 @@ function lawOf(entry, known, car, where) {
 
 // -- speed control ----------------------------------------------------------------------------------------------------
 /** What estimates the friction by the steering that an informed MPC assumes; low, high: of the interval at the start. */
-function frictionOf({ rows }, { parts }, { period }, [low, high]) {
-  const estimate = { memory: { shape: [1] }, period, low, high };
+function frictionOf({ rows, assumesDrive }, { parts }, { period }, [low, high]) {
+  const reserve = assumesDrive ? written.speed_control.reserve : 0;
+  const estimate = { memory: { shape: [1] }, period, low, high, reserve };
   if (!parts) return estimate;
   const { frictions, knowledge, longest_delay, sensors } = written.speed_control, { belief } = parts;
   const { lag, dead_time } = belief.steering, variances = mine(memory.array("F", [written.sizes.measured]));
@@ -550,7 +552,7 @@ function speedControlOf(entry, car, controller, { world, of, samples, setup }, w
   const { air_density, frontal_area, drag_coefficient, rolling_resistance } = numbers;
   const [drag, rolling] = memory.call("resistance", air_density, frontal_area, drag_coefficient, rolling_resistance);
   const assumed = ends(entry.speed_control.friction), [friction, friction_high] = grip(assumed), { period } = world;
-  const settings = copied("speed.speed_control.SpeedSettings",
+  const settings = copied("speed.speed_control.SpeedSettings", car.assumesDrive ? { drive_front: 0 } : {},
     { period, drag, rolling, friction, friction_high, straight_ratio: assumed[0] / friction }, constants.settings, numbers.$numbers);
   const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
   const { path, climb } = speedPathOf(of, plan, slopeOf(setup.truth ?? {}));
