@@ -40,7 +40,7 @@ MAX_YAW_ERROR, AXLE_REACH = 0.268, 3.0
 (m) behind the tracked point and moves along the yaw."""
 MIN_SLIP_COSINE = 0.8
 """Least cosine of the angle between the yaw and the motion of the tracked point; a larger angle is due to noise."""
-MAX_JUMP, JUMP_ACCELERATION = 0.5, 15.0
+MAX_JUMP, JUMP_ACCELERATION = 0.8, 15.0
 """m, m/s^2: largest excess of a step over the way that the faster neighbouring step and this acceleration explain."""
 MERGING_TIME = 1e-3
 """s, within which points up to `MAX_JUMP` apart are one place."""
