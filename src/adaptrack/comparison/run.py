@@ -147,7 +147,7 @@ def _test_rows(
     """Return one row for each test run: road, noise seed and `MEASURES`, with a driver `SPEED_MEASURES` as well."""
     measures = (*MEASURES, *SPEED_MEASURES) if cell.driver else MEASURES
     if task.planner:
-        speed = test.driver if isinstance(test.driver, SpeedControl) else SpeedControl(controller.vehicle)
+        speed: Any = test.driver if cell.driver else SpeedControl(controller.vehicle)  # drivers are speed controls
         controller = PlannedController(controller, speed, make_planner(task.planner))
     rows = measure_runs(test, controller, task.seeds, outline, with_driver=bool(cell.driver))
     return [

@@ -212,6 +212,7 @@ class PlannedController(SampledController):
     """A `Tracker` that follows a planner, as the controller of a drive along a road: it steers and moves the car."""
 
     diagnostic_names = ("late",)
+    requests_forces = True
     tracker: Tracker
     """Tracker of the present drive."""
 

@@ -29,7 +29,6 @@ from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.failure import DISTANCE, FailureLimits, failure_of
-from adaptrack.drive.planner import PlannedController
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory, provenance
 from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, RequestedForces, World, warn_once
@@ -99,7 +98,7 @@ def simulate(
     plant
         Simulated car.
     controller
-        Controller; it is reset before the run. A `PlannedController` also moves the car, without a ``driver``.
+        Controller; it is reset before the run. One that `requests_forces` also moves the car, without a ``driver``.
     scenario
         Scenario or road drive.
     profile
@@ -125,12 +124,11 @@ def simulate(
     InvalidInput
         When arguments do not match each other.
     """
-    moves = isinstance(controller, PlannedController)
-    world = World.of(plant, controller, profile, RequestedForces() if moves else driver, perception, failure)
+    mover = RequestedForces() if controller.requests_forces else driver
+    world = World.of(plant, controller, profile, mover, perception, failure)
     has_no_vy = not controller.replaces_vy and math.isinf(world.profile.noise_vy)
     controller.reset()
-    if isinstance(controller, PlannedController):
-        controller.begin(scenario)
+    controller.begin(scenario)
     controller.user = object()  # a tracker with this controller refuses to go on
     called = CalledController(controller)
 
@@ -149,7 +147,7 @@ def simulate(
         record.times[k] = time.perf_counter() - start_time
         answer = called.write(answered, before, loop.answer)
         record.record(k, answer)
-        if moves:
+        if controller.requests_forces:
             loop.request_forces(answered.longitudinal)
         if loop.request is not None:
             record.requests[k] = _request_row(loop.request, loop.speed_control)

@@ -154,6 +154,8 @@ class Controller(ABC):
     """Whether `step` is given all that is measured (`core.models.contract.MEASUREMENT`), not four numbers only."""
     replaces_vy: bool = True
     """Whether a lateral velocity that is not measured is passed on as NaN; other controllers are given 0."""
+    requests_forces: bool = False
+    """Whether its answers have `longitudinal`, a `SpeedCommand`: it then moves the simulated car as well."""
     scheduler: Any = None
     """Scheduler that changes the tuning while driving; None without one."""
     model: Any = None
@@ -204,6 +206,9 @@ class Controller(ABC):
     def scheduler_counts(self) -> dict[str, int]:
         """How often its scheduler was limited, stepped in for, ...: steps by what was counted."""
         return {}
+
+    def begin(self, drive: Any) -> None:  # noqa: B027 (there may be nothing to begin)
+        """Begin a simulated drive, a scenario or a `RoadDrive`; after `reset`. It may raise `InvalidInput`."""
 
     def reset(self) -> None:  # noqa: B027 (there may be nothing to forget)
         """Forget the past: the next step is the first, from steering angle 0."""
