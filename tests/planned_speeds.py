@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from adaptrack.core.kernel import defaults
 from adaptrack.core.layout import empty
 from adaptrack.core.planned.records import PLANNED_MEMORY, PLANNED_SETTINGS, Planned, PlannedSpeeds
 
@@ -25,8 +26,7 @@ def speeds_of(legs, speed, *, start=0.0):
 
 def planned(speeds, **settings):
     """A planner whose trajectory is followed."""
-    row = np.zeros(1, PLANNED_SETTINGS.dtype)
-    for name in PLANNED_SETTINGS.dtype.names:
-        default = getattr(PLANNED_SETTINGS.field_settings.get(name), "default", 0.0)
-        row[name] = ({"period": PERIOD, "catch_up": GAIN} | settings).get(name, default)
+    row = PLANNED_SETTINGS.new(
+        1, **defaults(PLANNED_SETTINGS)._asdict() | {"period": PERIOD, "catch_up": GAIN} | settings
+    )
     return empty(Planned)._replace(settings=row, memory=PLANNED_MEMORY.new(1), speeds=speeds)

@@ -196,8 +196,7 @@ def test_compiled_kernels_give_the_bits_of_plain_python(rng):
 @pytest.mark.parametrize("driver", [NOBODY, PLANNER, FALLBACK, STOP])
 def test_the_speed_control_keeps_the_time_of_a_planner_and_its_fallback_and_stops_without_both(driver):
     planner, sample, memory = planned(STOP_AND_GO, speed_limit=12.0), SPEED_SAMPLE.new(1)[0], SPEED_MEMORY.new(1)[0]
-    state = planner.memory[0]
-    state.driven_by, sample.is_guided = driver, 1.0
+    planner.memory["driven_by"], sample.is_guided = driver, 1.0
     keep_time(8.0, 5.0, 10.0, planner)
     longitudinal._keep_planned_time(planner, sample, memory)
     is_followed = driver in (PLANNER, FALLBACK)

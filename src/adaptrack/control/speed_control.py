@@ -373,6 +373,7 @@ class SpeedController:
     ) -> None:  # fmt: skip
         self.control, self._period, self._stop_at_end, self._patience = control, period, stop_at_end, patience
         self._controller: Any = None
+        self._comfort = plan.comfort
         start = SpeedStart(plan.comfort, float(plan.speed.max()), patience)
         self._load(longitudinal_of(control, period, start, speed_path(path, plan, stop_at_end)))
 
@@ -401,7 +402,10 @@ class SpeedController:
 
         plan: a `SpeedPlan`, or s, speed, stops and comfort; stop_at_end: None: as before.
         """
-        settings = self.control.settings(self._period, plan.comfort, self._patience)
+        settings = self.record.settings
+        if plan.comfort != self._comfort:
+            self._comfort = plan.comfort
+            settings = self.control.settings(self._period, plan.comfort, self._patience)
         stops = self._stop_at_end if stop_at_end is None else stop_at_end
         self._load(
             self.record._replace(

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 from ..kernel import Place, exported, float64, inlined, several, void
-from ..maths.exact import clip, sqrt, square
-from ..speed.plan import last_at
+from ..maths.exact import clip
+from ..speed.plan import last_at, speed_between
 from ..speed.stops import OVERSHOOT, STOP_TOLERANCE
 from .records import STOP, Planned, PlannedSpeeds
 
@@ -35,8 +35,7 @@ def speed_at(place, speeds):
     s, speed, k = speeds.s, speeds.speed, last_at(place, speeds.s)
     if k < 0 or k == s.size - 1:
         return speed[max(k, 0)]
-    low, high = square(speed[k]), square(speed[k + 1])
-    return sqrt(max(low + (high - low) * ((place - s[k]) / (s[k + 1] - s[k])), 0.0))
+    return speed_between(place, k, s, speed)
 
 
 @inlined

@@ -387,14 +387,14 @@ def _forget(estimate):
 @inlined
 def _has_fallen(memory, estimate):
     """Whether recent samples speak for less friction than the low end: a generalised likelihood ratio."""
-    bank, kept, fallen = estimate.bank, -math.inf, -math.inf
+    bank, unchanged, fallen = estimate.bank, -math.inf, -math.inf
     spacing = (bank[bank.size - 1].friction - bank[0].friction) / max(bank.size // _shapes(estimate) - 1, 1)
     for h in bank:
         if h.friction >= memory.least - 0.25 * spacing:
-            kept = max(kept, h.recent)
+            unchanged = max(unchanged, h.recent)
         elif memory.used <= h.grip and FALL_SHARE * GRAVITY * h.friction <= abs(memory.pull):
             fallen = max(fallen, h.recent)
-    return fallen - kept > FALL_EVIDENCE
+    return fallen - unchanged > FALL_EVIDENCE
 
 
 @exported(void(FrictionSample, LearnedRow, float64, float64, FrictionEstimate))

@@ -34,6 +34,13 @@ def cell_from(place, k, s):
     return k
 
 
+@inlined
+def speed_between(place, k, s, speed):
+    """Speed (m/s) of a plan at a place between s[k] and s[k + 1] (m): its square is straight."""
+    low, high = square(speed[k]), square(speed[k + 1])
+    return sqrt((high - low) / (s[k + 1] - s[k]) * (place - s[k]) + low)
+
+
 @exported(void(float64, vector, vector, vector))
 def planned_speeds(lap, s, speed, places):
     """Replace arc lengths (m) by the speeds (m/s) that a plan has there; what is no number stays as it is.
@@ -52,8 +59,7 @@ def planned_speeds(lap, s, speed, places):
         elif place == place:
             k = cell_from(place, k if place >= before else 0, s)
             before = place
-            low, high = square(speed[k]), square(speed[k + 1])
-            places[i] = sqrt((high - low) / (s[k + 1] - s[k]) * (place - s[k]) + low)
+            places[i] = speed_between(place, k, s, speed)
 
 
 @inlined

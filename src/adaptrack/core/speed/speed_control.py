@@ -325,13 +325,6 @@ def _planned_braking(k, settings, path):
 
 
 @inlined
-def _present_braking(settings, path, memory):
-    """Largest deceleration (m/s^2) of a trajectory where the car is and just behind, see `_planned_braking`."""
-    k = whole(floor(memory.station / path.spacing))
-    return max(_planned_braking(k, settings, path), _planned_braking(k - PASSED_CELLS, settings, path))
-
-
-@inlined
 def _stop_braking(index, way, sample, settings, path, memory):
     """Deceleration (m/s^2) on the way (m) to a stop: of comfort, or the largest with which a trajectory stops there.
 
@@ -723,7 +716,8 @@ def _follow(sample, index, way, top_square, period, settings, path, memory, bank
     demand = acceleration + settings.gain * (target - coming_speed)
     strongest = COMFORT_RESERVE * settings.brake
     if sample.is_timed > 0.0:
-        braking = _present_braking(settings, path, memory)
+        k = whole(floor(memory.station / path.spacing))
+        braking = max(_planned_braking(k, settings, path), _planned_braking(k - PASSED_CELLS, settings, path))
         braking = max(braking, stop_braking if cause in (BY_STOP, BY_PATH_END) else -acceleration)
         strongest = max(strongest, min(COMFORT_RESERVE * braking, settings.emergency))
     bounded = clip(demand, -strongest, COMFORT_RESERVE * settings.accelerate)
