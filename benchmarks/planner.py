@@ -31,7 +31,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.control.following import Following
 from adaptrack.control.kalman import Drifts
-from adaptrack.core.planned.records import GIVEN
+from adaptrack.core.planned.records import POINT
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.drive.planner import Arrivals, PlannedController, SimulatedPlanner, arrival_times
 from adaptrack.road import Arc, Comfort, Line, Road, SpeedPlan, plan_speed
@@ -133,7 +133,7 @@ Arrival = tuple[PlannedTrajectory, PlannedTrajectory | None]
 # -- planners ---------------------------------------------------------------------------------------------------------
 def changed(trajectory: PlannedTrajectory, **changes: Any) -> PlannedTrajectory:
     """Return a trajectory with other values."""
-    values = dict(zip(GIVEN._fields, trajectory.given.T, strict=True))
+    values = dict(zip(POINT._fields, trajectory.points.T, strict=True))
     return PlannedTrajectory(**values | {"stamp": trajectory.stamp, "urgent": trajectory.urgent} | changes)
 
 
@@ -162,13 +162,13 @@ class Changed:
 def in_turn(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Arrival:
     """Two planners in turn, each beside the line."""
     side = 0.5 * PLANNERS_APART * (-1.0) ** round(trajectory.stamp / 0.1)
-    _, x, y, yaw, *_ = trajectory.given.T
+    _, x, y, yaw, *_ = trajectory.points.T
     return changed(trajectory, x=x - side * np.sin(yaw), y=y + side * np.cos(yaw)), None
 
 
 def ahead_of_car(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> Arrival:
     """A planner whose clock has gone on before the drive began."""
-    return changed(trajectory, t=trajectory.given[:, 0] - BEHIND_CLOCK), None
+    return changed(trajectory, t=trajectory.points[:, 0] - BEHIND_CLOCK), None
 
 
 def stop_from(drive: at.RoadDrive, stamp: float, begin: float, deceleration: float) -> PlannedTrajectory:
@@ -201,7 +201,7 @@ def braking(trajectory: PlannedTrajectory, now: float, drive: at.RoadDrive) -> A
     if now < EVENT:
         return trajectory, None
     stop = stop_from(drive, EVENT, EVENT, HARD_BRAKING)
-    return changed(stop, t=stop.given[:, 0] - (trajectory.stamp - EVENT), stamp=trajectory.stamp), None
+    return changed(stop, t=stop.points[:, 0] - (trajectory.stamp - EVENT), stamp=trajectory.stamp), None
 
 
 # -- trackers ---------------------------------------------------------------------------------------------------------
@@ -218,12 +218,12 @@ class PathTracker:
 
     def follow(self, trajectory: PlannedTrajectory, fallback: Any = None, now: float = 0.0) -> None:
         """Follow a trajectory; what cannot be a path is left out."""
-        points = trajectory.given[:, 1:3]
+        points = trajectory.points[:, 1:3]
         kept = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 0.05)
         try:
             path = at.road_through(points[kept])
             length = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[kept], axis=0).T)))
-            t, speed = trajectory.given[kept, 0], np.minimum.reduceat(trajectory.given[:, 4], np.flatnonzero(kept))
+            t, speed = trajectory.points[kept, 0], np.minimum.reduceat(trajectory.points[:, 4], np.flatnonzero(kept))
             plan = SpeedPlan(
                 length * path.length / length[-1], speed, t - t[0], float(t[-1] - t[0]), False, COMFORT
             )  # fmt: skip

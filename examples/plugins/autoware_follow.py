@@ -95,7 +95,7 @@ class AutowareFollow:
 
     def follow(self, trajectory: at.PlannedTrajectory, fallback: Any = None, now: float = 0.0) -> None:
         """Follow a trajectory from now on; one that is no line is left out."""
-        given = trajectory.given
+        given = trajectory.points
         kept = np.append(True, np.hypot(*np.diff(given[:, 1:3], axis=0).T) > MERGED)
         points, stamp = given[kept][:, 1:3], trajectory.stamp or now
         try:

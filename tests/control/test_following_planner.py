@@ -5,7 +5,6 @@ import pytest
 
 import adaptrack as at
 from adaptrack.control.following import DrivenBy, Following, Verdict
-from adaptrack.control.tracker import Tracker
 from adaptrack.road.planned_trajectory import PlannedTrajectory
 from foreign_loop import drive, on_road
 
@@ -18,7 +17,7 @@ SPEED = 15.0
 
 
 def make_tracker(path=None, **options):
-    return Tracker(at.MPC(CAR, profile="road", computation=0.0, belief=STEERING), path, **options)
+    return at.Tracker(at.MPC(CAR, profile="road", computation=0.0, belief=STEERING), path, **options)
 
 
 def road_plan(station, stamp, *, offset=0.0, noise=None):
@@ -43,14 +42,14 @@ def stopping_plan(start, y=0.0):
     return PlannedTrajectory(t, start + 10.0 * t - 1.5 * t**2, np.full(t.size, y), speed=10.0 - 3.0 * t)
 
 
-def drive_straight(tracker, calls, start=0, plan=None, y=0.0):
-    """Results of calls every 0.05 s at 10 m/s along the x axis; plan(t, x): trajectory before a call, or None."""
+def drive_straight(tracker, calls, start=0, plan=None, y=0.0, speed=10.0):
+    """Results of calls every 0.05 s along the x axis; plan(t, x): trajectory before a call, or None."""
     results = []
     for k in range(start, start + calls):
         t = 0.05 * k
-        if plan is not None and (trajectory := plan(t, 10.0 * t)) is not None:
+        if plan is not None and (trajectory := plan(t, speed * t)) is not None:
             tracker.follow(trajectory, now=t)
-        results.append(tracker.step(t, 10.0 * t, y, 0.0, 10.0, 0.0))
+        results.append(tracker.step(t, speed * t, y, 0.0, speed, 0.0))
     return results
 
 
@@ -205,47 +204,50 @@ def test_a_fallback_beyond_the_friction_is_not_followed():
     assert drive_straight(tracker, 16)[-1].driven_by is DrivenBy.STOP
 
 
-# -- a plan that begins at the car ------------------------------------------------------------------------------------
-def suspected_trajectories(offset, begins_at_car):
-    """Sentences of `suspect` on trajectories for a car that stays at an offset (m) from the x axis.
+def test_engage_leaves_the_planner_the_time_of_a_silence_to_send_again():
+    for sends, driver in ((False, DrivenBy.STOP), (True, DrivenBy.PLANNER)):
+        tracker = make_tracker(speed=at.SpeedControl(CAR))
+        drive_straight(tracker, 20, plan=lambda t, x: straight_plan(x, t))
+        tracker.engage()
+        results = drive_straight(tracker, 10, start=20)
+        assert {(result.driven_by, result.target_speed) for result in results} == {(DrivenBy.PLANNER, 10.0)}
+        assert not sends or tracker.follow(straight_plan(15.0, 1.5), now=1.5) is Verdict.TAKEN
+        assert drive_straight(tracker, 3, start=30)[-1].driven_by is driver
 
-    begins_at_car: whether the trajectories begin at the car and return to the axis within 2 s.
-    """
+
+@pytest.mark.parametrize(("path", "options"), [(ROAD, {}), (ROAD, {"now": 0.1}), (straight_plan(1.0), {"near": 3.0})])
+def test_a_refused_path_leaves_the_car_with_its_planner(path, options):
+    tracker = make_tracker(speed=at.SpeedControl(CAR))
+    drive_straight(tracker, 2, plan=lambda t, x: straight_plan(x, t))
+    with pytest.raises(at.InvalidInput, match=r"follows a plan|belong to a"):
+        tracker.follow(path, **options)
+    assert drive_straight(tracker, 1, start=2)[-1].driven_by is DrivenBy.PLANNER
+
+
+# -- a plan that begins at the car ------------------------------------------------------------------------------------
+def suspected_trajectories(y, line, speed=10.0):
+    """Sentences of `suspect` on trajectories for a car that stays at y (m); line(seconds, k): y of the k-th one."""
 
     def plan(t, x):
         seconds = np.arange(0.0, 4.0, 0.1)
-        y = offset * np.maximum(1.0 - seconds / 2.0, 0.0) ** 3 if begins_at_car else np.zeros(seconds.size)
-        return PlannedTrajectory(seconds, x + 10.0 * seconds, y, speed=np.full(seconds.size, 10.0), stamp=t)
+        plan = PlannedTrajectory(seconds, x + speed * seconds, line(seconds, round(t / 0.1)) + 0.0 * seconds, stamp=t)
+        return plan if round(t / 0.05) % 2 == 0 else None
 
-    last = drive_straight(make_tracker(), 200, y=offset, plan=plan)[-1]
+    last = drive_straight(make_tracker(), 240, y=y, plan=plan, speed=speed)[-1]
     return [sentence for sentence in last.suspect if "trajectories" in sentence]
 
 
 @pytest.mark.compiled
 def test_a_planner_that_hides_an_offset_is_reported_and_one_that_shows_it_is_not():
-    assert len(suspected_trajectories(0.3, begins_at_car=True)) == 1
-    assert not suspected_trajectories(0.3, begins_at_car=False)
-    assert not suspected_trajectories(0.05, begins_at_car=True)
+    assert len(suspected_trajectories(0.3, lambda t, k: 0.3 * np.maximum(1.0 - t / 2.0, 0.0) ** 3)) == 1
+    assert not suspected_trajectories(0.3, lambda t, k: 0.0)
+    assert not suspected_trajectories(0.05, lambda t, k: 0.05 * np.maximum(1.0 - t / 2.0, 0.0) ** 3)
 
 
 @pytest.mark.compiled
 def test_two_slow_planners_in_turn_hide_no_offset():
-    """At 5 m/s every second trajectory is a step of `MIN_PLACE_STEP` on: the places are all those of one planner."""
-    tracker = make_tracker()
-
-    def send(t, x):
-        seconds, side = np.arange(0.0, 4.0, 0.1), 0.2 * (-1.0) ** round(t / 0.1)
-        if round(t / 0.05) % 2:
-            return None
-        return PlannedTrajectory(seconds, x + 5.0 * seconds, 0.0 * seconds + side, speed=0.0 * seconds + 5.0, stamp=t)
-
-    answers = []
-    for k in range(240):
-        t = 0.05 * k
-        if (plan := send(t, 5.0 * t)) is not None:
-            tracker.follow(plan, now=t)
-        answers.append(tracker.step(t, 5.0 * t, 0.0, 0.0, 5.0, 0.0))
-    assert not [sentence for sentence in answers[-1].suspect if "trajectories" in sentence]
+    """At 5 m/s every second trajectory is a step of `FAR_STEP` on: the places are all those of one planner."""
+    assert not suspected_trajectories(0.0, lambda t, k: 0.2 * (-1.0) ** k, speed=5.0)
 
 
 # -- points of the car ------------------------------------------------------------------------------------------------
@@ -264,12 +266,10 @@ def test_samples_of_the_rear_axle_are_those_of_the_centre_of_mass_moved_back():
 def test_a_trajectory_of_the_rear_axle_on_a_circle_leads_the_centre_of_mass_outside():
     radius, t = 6.0, np.arange(0.0, 6.0, 0.1)
     angle = 2.0 * t / radius
-    circle = PlannedTrajectory(
-        t, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), yaw=angle, speed=0.0 * t + 2.0
-    )
+    x, y = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
+    circle = PlannedTrajectory(t, x, y, yaw=angle, speed=0.0 * t + 2.0)
     tracker = make_tracker(following=Following(tracked_point="rear axle"))
     tracker.follow(circle, now=0.0)
     foot = tracker.path.at(np.linspace(8.0, 12.0, 9))
-    distance = np.hypot(foot.x, foot.y - radius)
-    np.testing.assert_allclose(distance, np.hypot(radius, CAR.lr), atol=2e-3)
+    np.testing.assert_allclose(np.hypot(foot.x, foot.y - radius), np.hypot(radius, CAR.lr), atol=2e-3)
     assert np.hypot(radius, CAR.lr) - radius == pytest.approx(CAR.lr**2 / (2.0 * radius), rel=0.05)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.core.planned import condition as kernel
-from adaptrack.core.planned.records import GIVEN, NODE
+from adaptrack.core.planned.records import NODE, POINT
 
 pytestmark = pytest.mark.kernels
 
@@ -16,10 +16,10 @@ REAR = -1.4
 
 
 def table(t, x, y, **columns):
-    """Rows of `GIVEN`."""
-    rows = np.full((len(t), len(GIVEN)), np.nan)
+    """Rows of `POINT`."""
+    rows = np.full((len(t), len(POINT)), np.nan)
     for name, values in {"t": t, "x": x, "y": y, **columns}.items():
-        rows[:, getattr(GIVEN, name)] = values
+        rows[:, getattr(POINT, name)] = values
     return rows
 
 

@@ -30,7 +30,7 @@ def sample_on(drive, time, offset=0.0, turn=0.0, drift=0.0):
 
 def columns(trajectory):
     """t, x, y, yaw and speed of the points of a trajectory."""
-    return trajectory.given[:, :5].T
+    return trajectory.points[:, :5].T
 
 
 @pytest.mark.parametrize("drive", [STOPPING, LAPS], ids=["open", "laps"])
@@ -77,7 +77,7 @@ def test_trajectories_from_the_pose_begin_there_in_the_direction_of_motion_and_r
 def test_without_a_lateral_velocity_trajectories_from_the_pose_begin_parallel_to_the_line():
     run = SimulatedPlanner(start="pose").begin(STOPPING)
     ((trajectory, _),) = run.step(sample_on(STOPPING, 0.0, offset=0.4, turn=-0.05, drift=math.nan))
-    assert trajectory.given[0, 2:4] == pytest.approx([0.4, 0.0])
+    assert trajectory.points[0, 2:4] == pytest.approx([0.4, 0.0])
 
 
 def test_a_planner_that_starts_from_the_pose_leaves_a_stop_after_its_time():
@@ -110,7 +110,7 @@ def test_noise_of_points_has_its_standard_deviation_and_is_new_each_time():
     run, exact = SimulatedPlanner(noise=0.05).begin(STOPPING), SimulatedPlanner().begin(STOPPING)
     samples = [sample_on(STOPPING, time) for time in np.arange(0.0, 5.0, 0.1)]
     noise = [
-        (noisy.given - true.given)[:, 1:3]
+        (noisy.points - true.points)[:, 1:3]
         for sample in samples for (noisy, _), (true, _) in zip(run.step(sample), exact.step(sample), strict=True)
     ]  # fmt: skip
     assert np.std(np.concatenate(noise)) == pytest.approx(0.05, rel=0.05)

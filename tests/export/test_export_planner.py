@@ -17,7 +17,7 @@ from adaptrack.control.following import DRIVERS, VERDICTS, WHO_DRIVES, DrivenBy,
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
 from adaptrack.control.tracker import Status
 from adaptrack.core.kernel import INTERPRETED, fields_of
-from adaptrack.core.planned.records import GIVEN
+from adaptrack.core.planned.records import POINT
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.export.c_library import MEMBER_NAMES, export_c
@@ -37,7 +37,7 @@ BAD_TRAJECTORY, BAD_FALLBACK = 15, 16
 
 
 class CTrajectory(ctypes.Structure):
-    """A trajectory as C takes it: rows of `GIVEN`."""
+    """A trajectory as C takes it: rows of `POINT`."""
 
     _fields_ = (("points", ctypes.c_void_p), ("count", ctypes.c_size_t), ("stamp", ctypes.c_double),
                 ("now", ctypes.c_double), ("is_urgent", ctypes.c_int))  # fmt: skip
@@ -208,7 +208,7 @@ def differs(answer, row):
 
 
 def as_c(trajectory, time=math.nan):
-    return CTrajectory(trajectory.given, trajectory.stamp, time, trajectory.urgent)
+    return CTrajectory(trajectory.points, trajectory.stamp, time, trajectory.urgent)
 
 
 def drive(library, calls, seed=1):
@@ -281,7 +281,7 @@ def test_a_path_in_between_ends_the_trajectory_and_its_clock(library):
 
 # -- errors, states and the header ------------------------------------------------------------------------------------
 def with_entry(trajectory, row, column, value):
-    rows = trajectory.given.copy()
+    rows = trajectory.points.copy()
     rows[row, column] = value
     return CTrajectory(rows, trajectory.stamp)
 
@@ -291,18 +291,18 @@ def test_an_impossible_trajectory_is_refused_by_its_point_and_the_car_goes_on_as
     for follower in (tracker, twin):
         assert follower.follow_trajectory(as_c(first, 0.0))[:2] == (exported.OK, 0)
     refused = [
-        (with_entry(cut(1.0, 0.1), 7, GIVEN.t, 0.0), (BAD_TRAJECTORY, 7)),
-        (with_entry(cut(1.0, 0.1), 5, GIVEN.x, math.inf), (BAD_TRAJECTORY, 5)),
-        (with_entry(cut(1.0, 0.1), 9, GIVEN.y, 80.0), (BAD_TRAJECTORY, 9)),
-        (CTrajectory(np.zeros((257, len(GIVEN)))), (exported.TOO_SMALL, 99)),
+        (with_entry(cut(1.0, 0.1), 7, POINT.t, 0.0), (BAD_TRAJECTORY, 7)),
+        (with_entry(cut(1.0, 0.1), 5, POINT.x, math.inf), (BAD_TRAJECTORY, 5)),
+        (with_entry(cut(1.0, 0.1), 9, POINT.y, 80.0), (BAD_TRAJECTORY, 9)),
+        (CTrajectory(np.zeros((257, len(POINT)))), (exported.TOO_SMALL, 99)),
     ]
     for impossible, expected in refused:
         impossible.now = 0.1
         error, _, flaw = tracker.follow_trajectory(impossible)
         assert (error, flaw) == expected
     fallbacks = [
-        (as_c(cut(1.0, 0.1)), (BAD_FALLBACK, 39)), (CTrajectory(np.zeros((0, len(GIVEN)))), (BAD_FALLBACK, 0)),
-        (with_entry(cut(1.0, 0.1, speeds=braking(SPEED)), 4, GIVEN.t, math.nan), (BAD_FALLBACK, 4)),
+        (as_c(cut(1.0, 0.1)), (BAD_FALLBACK, 39)), (CTrajectory(np.zeros((0, len(POINT)))), (BAD_FALLBACK, 0)),
+        (with_entry(cut(1.0, 0.1, speeds=braking(SPEED)), 4, POINT.t, math.nan), (BAD_FALLBACK, 4)),
     ]  # fmt: skip
     for impossible, expected in fallbacks:
         error, _, flaw = tracker.follow_trajectory(as_c(cut(1.0, 0.1), 0.1), impossible)

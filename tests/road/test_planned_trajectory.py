@@ -27,9 +27,9 @@ def make(**columns):
 # -- what it holds ----------------------------------------------------------------------------------------------------
 def test_a_trajectory_holds_its_columns_and_answers_place_and_speed_at_times():
     trajectory = make(**STATED)
-    assert trajectory.given.shape == (40, 7)
-    assert trajectory.given[:, :6].T.tolist() == [column.tolist() for column in (T, X, Y, *STATED.values())]
-    assert np.isnan(trajectory.given[:, 6]).all()
+    assert trajectory.points.shape == (40, 7)
+    assert trajectory.points[:, :6].T.tolist() == [column.tolist() for column in (T, X, Y, *STATED.values())]
+    assert np.isnan(trajectory.points[:, 6]).all()
     assert trajectory.duration == pytest.approx(3.9)
     state = trajectory.at([-1.0, 2.0, 2.05, 9.0])
     assert np.hypot(state.x, state.y - 30.0) == pytest.approx(30.0, abs=1e-3)
@@ -50,7 +50,7 @@ def test_a_trajectory_is_a_copy_that_cannot_be_replaced():
 
 def test_no_points_are_silence_and_one_place_is_a_stand():
     silence, stand = at.PlannedTrajectory([], [], []), at.PlannedTrajectory([0.0, 0.5], [1.0, 1.0], [2.0, 2.0])
-    assert (len(silence.given), silence.duration, repr(silence)) == (0, 0.0, "<PlannedTrajectory: no points>")
+    assert (len(silence.points), silence.duration, repr(silence)) == (0, 0.0, "<PlannedTrajectory: no points>")
     assert np.isnan(silence.at([0.0, 1.0]).x).all()
     assert np.array(stand.at([0.0, 99.0])).tolist() == [[1.0, 1.0], [2.0, 2.0], [0.0, 0.0]]
     assert len(stand.nodes) == 1
@@ -125,7 +125,7 @@ def path_message(stamp=STAMP, step=1, has_yaw=True):
 ])  # fmt: skip
 def test_a_message_is_the_trajectory_of_its_arrays(message, stated):
     trajectory, arrays = at.PlannedTrajectory.from_message(message, urgent=True), make(**stated)
-    np.testing.assert_allclose(trajectory.given, arrays.given, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(trajectory.points, arrays.points, rtol=1e-12, atol=1e-12)
     assert (trajectory.stamp, trajectory.urgent) == (1e-9 * STAMP, True)
 
 
@@ -137,7 +137,7 @@ def test_times_of_points_count_from_the_first_one_if_the_message_has_no_stamp():
 
 def test_a_message_without_points_is_silence():
     message = SimpleNamespace(header=header_of(STAMP), points=[])
-    assert len(at.PlannedTrajectory.from_message(message).given) == 0
+    assert len(at.PlannedTrajectory.from_message(message).points) == 0
 
 
 @pytest.mark.parametrize("wrap", [list, lambda states: SimpleNamespace(state_list=states)])
@@ -150,9 +150,9 @@ def test_states_of_commonroad_are_the_trajectory_of_their_arrays(wrap):
     del states[7].acceleration
     states[8].velocity = None
     trajectory = at.PlannedTrajectory.from_states(wrap(states), 0.1, stamp=5.0)
-    expected = make(**STATED).given
+    expected = make(**STATED).points
     expected[7, 5] = expected[8, 4] = np.nan
-    np.testing.assert_allclose(trajectory.given, expected, rtol=1e-12)
+    np.testing.assert_allclose(trajectory.points, expected, rtol=1e-12)
     assert trajectory.stamp == 5.0
 
 
@@ -168,14 +168,14 @@ def test_a_file_is_the_trajectory_of_its_columns(tmp_path, titles, separator, ma
     file = tmp_path / "plan.csv"
     file.write_text("\n".join([titles, *lines]))
     trajectory = at.PlannedTrajectory.from_csv(file, stamp=3.0)
-    assert trajectory.given.tolist() == rows.tolist()
+    assert trajectory.points.tolist() == rows.tolist()
     assert trajectory.stamp == 3.0
 
 
 def test_an_empty_cell_of_a_file_is_unknown_and_other_columns_are_left_out(tmp_path):
     file = tmp_path / "plan.csv"
     file.write_text("t,x,y,speed,remark\n" + "".join(f"{t},{3 * t},0,{'' if t == 1 else 3},go\n" for t in range(4)))
-    assert at.PlannedTrajectory.from_csv(file).given[:, 4].tolist() == pytest.approx([3, np.nan, 3, 3], nan_ok=True)
+    assert at.PlannedTrajectory.from_csv(file).points[:, 4].tolist() == pytest.approx([3, np.nan, 3, 3], nan_ok=True)
 
 
 # -- refusals ---------------------------------------------------------------------------------------------------------

@@ -13,9 +13,10 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.settings import RecordSettings
-from adaptrack.core.kernel import OK
+from adaptrack.core.kernel import OK, fields_of
 from adaptrack.core.maths import portable
 from adaptrack.core.planned import condition, records
+from adaptrack.core.planned.clock import VERDICT
 from adaptrack.core.planned.meant_line import FAR_PLACES
 from adaptrack.core.planned.records import NODE
 from adaptrack.core.roads.path import line_in
@@ -32,21 +33,13 @@ class Verdict(StrEnum):
     """Verdict on a trajectory."""
 
     TAKEN = "taken"
-    """the car follows it"""
     SAME = "same"
-    """it repeats the followed trajectory with a new stamp"""
     OLDER = "older"
-    """its stamp is older than that of the followed trajectory"""
     STALE = "stale"
-    """its stamp is older than `Following.oldest`, or of a different clock"""
     EARLY = "early"
-    """its stamp is more than 0.1 s in the future, or of a different clock"""
     SILENT = "silent"
-    """it has no points"""
     WAITING = "waiting"
-    """the planner was silent: it drives again after three trajectories in a row that begin at the car"""
     UNFIT = "unfit"
-    """a fallback does not begin at the car, or needs more grip than is assumed"""
 
 
 class DrivenBy(StrEnum):
@@ -63,6 +56,8 @@ class DrivenBy(StrEnum):
 
 
 VERDICTS, DRIVERS = tuple(Verdict), tuple(DrivenBy)
+_VERDICT_LINES = (f"- `{field.name}`: {field.meaning}" for field in fields_of(VERDICT))
+Verdict.__doc__ = "\n".join(["Verdict on a trajectory.", "", *_VERDICT_LINES])
 WHO_DRIVES = (
     ("trajectories arrive", "any", DrivenBy.PLANNER, "as the trajectory does"),
     ("silence", "valid", DrivenBy.FALLBACK, "at rest at the end of the fallback; the car stays there"),
@@ -72,6 +67,7 @@ WHO_DRIVES = (
     ("a driver at the pedals", "any", "as before", "the requests follow the driver, then the rows above"),
     ("no position", "any", "as before", "the speeds go on over the way driven; then as without a planner"),
     ("a path is followed", "any", DrivenBy.NOBODY, "as the path does"),
+    ("`engage`", "any", DrivenBy.PLANNER, "along the last trajectory; silence counts from then on"),
 )
 """Rows of docs/planner.md and of the C header: the event, the fallback then, who drives, and how that ends."""
 
@@ -166,7 +162,7 @@ class PlannerFollower:
         InvalidInput
             When the trajectory is impossible.
         """
-        rows = trajectory.given
+        rows = trajectory.points
         length = float(portable.hypot(*np.diff(rows[:, 1:3], axis=0).T).sum())
         buffer = np.empty(kernel.trajectory_words(len(rows), len(self.planned.points), length))
         parts = np.empty(len(kernel.PARTS), np.int64)

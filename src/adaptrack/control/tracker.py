@@ -30,16 +30,7 @@ from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
-from adaptrack.control.following import (
-    DRIVERS,
-    CarPoint,
-    DrivenBy,
-    FollowedPlan,
-    Following,
-    PlannerFollower,
-    Verdict,
-    arm_of,
-)
+from adaptrack.control.following import DRIVERS, CarPoint, DrivenBy, Following, PlannerFollower, Verdict, arm_of
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
@@ -296,7 +287,7 @@ class Tracker:
         """
         self._user = self.controller.user = object()
         self._check.forget()
-        self._target = None if self.plan is None else SpeedTarget(self.plan)
+        self._target = SpeedTarget(self.plan) if isinstance(self.plan, SpeedPlan) else None
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
         self._call(tracker_apply)
 
@@ -342,7 +333,13 @@ class Tracker:
             When the argument is no path, or the trajectory is impossible: the car goes on as before.
         """
         if isinstance(path, PlannedTrajectory):
+            if plan is not None or near is not None:
+                raise InvalidInput("Tracker.follow: plan and near belong to a path, and this is a trajectory.")
             return self._follow_planner(path, fallback, float(self._kernel.memory[0].last) if now is None else now)
+        if fallback is not None or now is not None:
+            raise InvalidInput("Tracker.follow: fallback and now belong to a trajectory, and this is a path.")
+        if self._speed is not None and plan is None:
+            raise InvalidInput("Tracker.follow: the speed control follows a plan; give plan=plan_speed(path, car).")
         self._set_path(path, plan)
         if self._planner is not None:
             self._start_planner(self._planner.following)
@@ -351,8 +348,6 @@ class Tracker:
         else:
             self._target.follow(plan)
         if self._speed is not None:
-            if plan is None:
-                raise InvalidInput("Tracker.follow: the speed control follows a plan; give plan=plan_speed(path, car).")
             self._speed.follow(path, plan)
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
@@ -651,7 +646,7 @@ def tracker_of(
     return records.tracker(settings, stacked(path), packed_plan(plan), check.check, planned)
 
 
-def packed_plan(plan: SpeedPlan | FollowedPlan | None) -> Any:
+def packed_plan(plan: Any) -> Any:
     """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
     both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
     return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))

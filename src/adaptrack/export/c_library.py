@@ -20,13 +20,14 @@ from adaptrack.base.errors import StorageError
 from adaptrack.base.files import keep_replaced, write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
-from adaptrack.control.following import DRIVERS, VERDICTS, WHO_DRIVES, Following
+from adaptrack.control.following import DRIVERS, WHO_DRIVES, Following
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.core import library
 from adaptrack.core.input_check.hypotheses import MISTAKES
 from adaptrack.core.kernel import Field, fields_of
 from adaptrack.core.planned import condition
-from adaptrack.core.planned.records import GIVEN, NODE
+from adaptrack.core.planned.clock import VERDICT
+from adaptrack.core.planned.records import NODE, POINT
 from adaptrack.core.roads import path, road
 from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
@@ -163,7 +164,7 @@ def _texts(controller: Controller, memory: CMemory, recorded: Recorded, speed: S
         "CONSTANTS_SIZE": f"{len(memory.content):,}", "SIZE": f"{memory.size:,}",
         "STATE_SIZE": f"{memory.state_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
-        "WHO_DRIVES": _driver_table(), "POINT": _members(fields_of(GIVEN), "double"),
+        "WHO_DRIVES": _driver_table(), "POINT": _members(fields_of(POINT), "double"),
         "EXACT": " ".join(EXACT_OPTIONS), "ERROR_NAMES": _error_names(), **signal_texts(),
     }  # fmt: skip
     prepare = (PREPARE_MPC,) if controller.has_horizons else ()
@@ -268,9 +269,8 @@ def _planner_config(memory: CMemory) -> str:
     """Verdicts, drivers and sizes for a planner's trajectories; nothing without one."""
     if not memory.record.tracker.planned.settings.size:
         return ""
-    verdicts = ",\n".join(f"    ADAPTRACK_VERDICT_{verdict.name} = {i}" for i, verdict in enumerate(VERDICTS))
     drivers = ", ".join(f"ADAPTRACK_DRIVEN_BY_{driver.name} = {i}" for i, driver in enumerate(DRIVERS))
-    words = 64 + len(GIVEN) * TRAJECTORY_POINTS + 2 * sum(_trajectory_words(memory))
+    words = 64 + len(POINT) * TRAJECTORY_POINTS + 2 * sum(_trajectory_words(memory))
     return f"""
 #define ADAPTRACK_PLANNER 1
 #define ADAPTRACK_TRAJECTORY_POINTS {TRAJECTORY_POINTS} /* at most */
@@ -278,7 +278,7 @@ def _planner_config(memory: CMemory) -> str:
 enum {{ {drivers} }};
 /* What becomes of a trajectory. */
 typedef enum {{
-{verdicts}
+{_enumerators("VERDICT", VERDICT)}
 }} adaptrack_verdict;
 """
 
@@ -346,14 +346,10 @@ def signal_texts() -> dict[str, str]:
     """Return the texts of the C sources that follow from the signals, by their marks."""
     tracked, requests = fields_of(TRACKED), fields_of(SPEED_REQUEST)
     first, later = tracked[: TRACKED.first_top_speed], tracked[TRACKED.first_top_speed :]
-    comma = [","] * (len(STATUS) - 1) + [""]
     return {
         "SAMPLE": _members(fields_of(TRACKER_SAMPLE), "double"),
         "UNKNOWN": ", ".join(["NAN"] * len(TRACKER_SAMPLE)),
-        "STATUSES": _remarked(
-            (f"ADAPTRACK_STATUS_{field.name.upper()} = {i}{comma[i]}", field)
-            for i, field in enumerate(fields_of(STATUS))
-        ),
+        "STATUSES": _enumerators("STATUS", STATUS),
         "ANSWER": _members([*sorted(first, key=_is_whole), *later]),  # an order that programs rely on
         "REQUESTS": _members(requests),
         "READ_ANSWER": "\n".join(
@@ -381,6 +377,13 @@ def _type(field: Field) -> str:
 
 def _members(fields: Iterable[Field], kind: str = "") -> str:
     return _remarked((f"{kind or _type(field)} {_name(field)};", field) for field in fields)
+
+
+def _enumerators(name: str, kinds: Any) -> str:
+    """Lines of an enum of C: a field each."""
+    commas = [","] * (len(kinds) - 1) + [""]
+    names = (f"ADAPTRACK_{name}_{field.name.upper()} = {i}{commas[i]}" for i, field in enumerate(fields_of(kinds)))
+    return _remarked(zip(names, fields_of(kinds), strict=True))
 
 
 def _remarked(lines: Iterable[tuple[str, Field]]) -> str:

@@ -16,11 +16,11 @@ from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import finite_number, printable, read_bytes, table_lines
 from adaptrack.core.maths import portable
 from adaptrack.core.planned import condition as kernel
-from adaptrack.core.planned.records import GIVEN, NODE
+from adaptrack.core.planned.records import NODE, POINT
 from adaptrack.road.points import POINT_COLUMNS, bracketed_unit, plain_title, split_cells, split_header
 from adaptrack.road.segments import Array
 
-TRAJECTORY_COLUMNS = {
+PLANNED_COLUMNS = {
     "t": (("s",), ("t", "time", "t_s", "time_s", "time_from_start", "timestamp")),
     "x": (("m",), POINT_COLUMNS["x"]),
     "y": (("m",), POINT_COLUMNS["y"]),
@@ -45,14 +45,11 @@ _REFUSALS = {
 
 
 class PlannedState(NamedTuple):
-    """Where a trajectory asks the car to be: arrays of the shape of the times."""
+    """Planned place (x, y in m) of the tracked point, and its speed (m/s): arrays of the shape of the times."""
 
     x: Array
-    """m, of the tracked point"""
     y: Array
-    """m"""
     speed: Array
-    """m/s"""
 
 
 @checked
@@ -60,9 +57,9 @@ class PlannedState(NamedTuple):
 class PlannedTrajectory:
     """A trajectory of a planner: places of the tracked point at times, and what else the planner states.
 
-    Values that are all 0 or NaN count as not given; NaN within others, as unknown there. Points within
+    Values that are all 0 or NaN count as unknown; so does NaN within others. Points within
     `adaptrack.core.planned.condition.MERGING_DISTANCE` are one place, with a time at rest if the car stays. All points
-    in one place: the car stands. No points: the planner is silent. Speeds that are not given follow from the times.
+    in one place: the car stands. No points: the planner is silent. Unknown speeds follow from the times.
 
     Raises
     ------
@@ -89,8 +86,8 @@ class PlannedTrajectory:
     """s, on the clock of the planner; 0: the time of arrival"""
     urgent: bool = False
     """whether it replaces the trajectory before at once, without a transition"""
-    given: Array = field(init=False)
-    """(n, 7) columns `adaptrack.core.planned.records.GIVEN`, NaN where a value is not given"""
+    points: Array = field(init=False)
+    """(n, 7) columns `adaptrack.core.planned.records.POINT`, NaN where a value is unknown"""
     nodes: Array = field(init=False)
     """(m, 5) columns `adaptrack.core.planned.records.NODE`: places with times and speeds, up to the first reversal"""
     reverse_ahead: bool = field(init=False)
@@ -98,7 +95,7 @@ class PlannedTrajectory:
 
     def __post_init__(self) -> None:
         columns: list[Array] = []
-        for name in GIVEN._fields:
+        for name in POINT._fields:
             values, is_optional = getattr(self, name), name not in ("t", "x", "y")
             is_missing = values is None and is_optional
             column = None if is_missing else np.array(reals(f"PlannedTrajectory: {name}", values))
@@ -109,13 +106,13 @@ class PlannedTrajectory:
                     "length."
                 )
             object.__setattr__(self, name, column)
-        given = np.stack(columns, axis=-1)
-        nodes = np.empty((2 * len(given) + 2, len(NODE)))
-        status, entry, count = kernel.condition(given, 0.0, 0.0, nodes)
+        points = np.stack(columns, axis=-1)
+        nodes = np.empty((2 * len(points) + 2, len(NODE)))
+        status, entry, count = kernel.condition(points, 0.0, 0.0, nodes)
         if status in _REFUSALS:
-            values = dict(zip(GIVEN._fields, given[entry].tolist(), strict=True))
+            values = dict(zip(POINT._fields, points[entry].tolist(), strict=True))
             raise InvalidInput(f"PlannedTrajectory: {_REFUSALS[status].format(k=entry, **values)}")
-        object.__setattr__(self, "given", given)
+        object.__setattr__(self, "points", points)
         object.__setattr__(self, "nodes", nodes[:count].copy())
         object.__setattr__(self, "reverse_ahead", status == kernel.REVERSE_AHEAD)
 
@@ -125,12 +122,12 @@ class PlannedTrajectory:
         way = float(portable.hypot(*np.diff(self.nodes[:, :2], axis=0).T).sum())
         ahead = ", reverse ahead" if self.reverse_ahead else ""
         end = f"{self.nodes[0, NODE.speed]:.3g} to {self.nodes[-1, NODE.speed]:.3g} m/s"
-        return f"<PlannedTrajectory: {len(self.given)} points, {self.duration:.3g} s, {way:.3g} m, {end}{ahead}>"
+        return f"<PlannedTrajectory: {len(self.points)} points, {self.duration:.3g} s, {way:.3g} m, {end}{ahead}>"
 
     @property
     def duration(self) -> float:
         """From the first to the last time, s."""
-        times = self.given[:, GIVEN.t]
+        times = self.points[:, POINT.t]
         return float(times[-1] - times[0]) if times.size else 0.0
 
     def at(self, t: ArrayLike) -> PlannedState:
@@ -151,7 +148,7 @@ class PlannedTrajectory:
     def from_csv(
         cls, path: str | os.PathLike[str], *, stamp: Annotated[Finite, "s"] = 0.0, urgent: bool = False
     ) -> PlannedTrajectory:
-        """Read a CSV file with the columns t (s), x, y (m) and optionally others of `TRAJECTORY_COLUMNS`.
+        """Read a CSV file with the columns t (s), x, y (m) and optionally others of `PLANNED_COLUMNS`.
 
         Cells are separated as in files of roads (`adaptrack.road.points.read_points`). Units may stand in brackets
         behind the names. An empty cell is an unknown value.
@@ -251,7 +248,7 @@ class PlannedTrajectory:
 def _places_of_columns(where: str, titles: list[str]) -> dict[str, int]:
     """The place of each quantity's column; refuses files without t, x or y, doubled columns and other units."""
     places: dict[str, int] = {}
-    for name, (units, names) in TRAJECTORY_COLUMNS.items():
+    for name, (units, names) in PLANNED_COLUMNS.items():
         matches = [k for k, title in enumerate(titles) if plain_title(title) in names]
         if len(matches) > 1 or (not matches and name in ("t", "x", "y")):
             hint = "there are two of them." if matches else did_you_mean(name, titles)
@@ -265,7 +262,7 @@ def _places_of_columns(where: str, titles: list[str]) -> dict[str, int]:
 
 def _columns(rows: list[tuple[Any, ...]]) -> dict[str, Any]:
     """Rows of t, x, y, yaw, speed, acceleration as arrays by name."""
-    return dict(zip(GIVEN._fields, np.array(rows, dtype=np.float64).reshape(-1, 6).T, strict=False))
+    return dict(zip(POINT._fields, np.array(rows, dtype=np.float64).reshape(-1, 6).T, strict=False))
 
 
 def _nanoseconds(time: Any) -> int:

@@ -23,7 +23,7 @@ from ..maths.exact import clip, sqrt, square
 from ..maths.trigonometric import cos, sin
 from ..roads.path import MAX_COORDINATE
 from ..speed.path import MAX_PLAN_SPEED
-from .records import GIVEN, NODE
+from .records import NODE, POINT
 
 REVERSE_AHEAD, BAD_NUMBER, FALLING_TIME, PLACE_JUMP, WRONG_YAW, WRONG_SPEED, TOO_FEW_NODES = range(1, 8)
 """Statuses of `condition`, in addition to `OK`: the nodes end where the car is to drive backwards; and refusals: a time
@@ -67,10 +67,10 @@ def _is_specified(points, column):
 def _check_numbers(points):
     """Return `OK`, or `BAD_NUMBER` or `FALLING_TIME` with the index of the entry."""
     for k in range(len(points)):
-        is_near = abs(points[k, GIVEN.x]) <= MAX_COORDINATE and abs(points[k, GIVEN.y]) <= MAX_COORDINATE
-        if not (math.isfinite(points[k, GIVEN.t]) and is_near):
+        is_near = abs(points[k, POINT.x]) <= MAX_COORDINATE and abs(points[k, POINT.y]) <= MAX_COORDINATE
+        if not (math.isfinite(points[k, POINT.t]) and is_near):
             return BAD_NUMBER, k
-        if k > 0 and points[k, GIVEN.t] < points[k - 1, GIVEN.t]:
+        if k > 0 and points[k, POINT.t] < points[k - 1, POINT.t]:
             return FALLING_TIME, k
     return OK, 0
 
@@ -84,17 +84,17 @@ def _length(x, y):
 @inlined
 def _gap(points, first, last):
     """Distance (m) of two entries."""
-    return _length(points[last, GIVEN.x] - points[first, GIVEN.x], points[last, GIVEN.y] - points[first, GIVEN.y])
+    return _length(points[last, POINT.x] - points[first, POINT.x], points[last, POINT.y] - points[first, POINT.y])
 
 
 @inlined
 def _find_wrong_speed(points, last):
     """Index of the entry from which on specified speeds contradict the places, up to the entry `last`; -1: none."""
     first, way = 0, 0.0
-    for k in range(1, last + 1 if _is_specified(points, GIVEN.speed) else 0):
-        time = points[k, GIVEN.t] - points[first, GIVEN.t]
-        mean = 0.5 * (points[k - 1, GIVEN.speed] + points[k, GIVEN.speed])
-        way += mean * (points[k, GIVEN.t] - points[k - 1, GIVEN.t])
+    for k in range(1, last + 1 if _is_specified(points, POINT.speed) else 0):
+        time = points[k, POINT.t] - points[first, POINT.t]
+        mean = 0.5 * (points[k - 1, POINT.speed] + points[k, POINT.speed])
+        way += mean * (points[k, POINT.t] - points[k - 1, POINT.t])
         if time >= SPEED_SPAN:
             chord_speed = _gap(points, first, k) / time
             if abs(way / time - chord_speed) > SPEED_SHARE * max(chord_speed, way / time) + SPEED_TOLERANCE:
@@ -113,7 +113,7 @@ def _find_rest(points, first, count):
     begin, middle, end, radius = first, first, first, 0.0
     while end + 1 < count and _gap(points, first, end + 1) <= MERGING_DISTANCE:
         end += 1
-    while points[middle, GIVEN.t] - points[begin, GIVEN.t] < points[end, GIVEN.t] - points[middle, GIVEN.t]:
+    while points[middle, POINT.t] - points[begin, POINT.t] < points[end, POINT.t] - points[middle, POINT.t]:
         middle += 1
     for _ in range(2):
         radius = 0.0
@@ -123,7 +123,7 @@ def _find_rest(points, first, count):
             begin += 1
         while end > middle and _gap(points, middle, end) > radius:
             end -= 1
-    time = points[end, GIVEN.t] - points[begin, GIVEN.t]
+    time = points[end, POINT.t] - points[begin, POINT.t]
     if time < MIN_REST or 2.0 * radius > REST_SPEED * time:
         return first, first, first
     return begin, middle, end
@@ -171,9 +171,9 @@ def _neighbours(work, k, count):
 def _set_node(draft, k, place, begin, end, begins):
     """Write a node with the place and the times of arrival and departure of three entries."""
     points, work = draft.points, draft.work
-    work[k, _WORK.entry], work[k, _WORK.x], work[k, _WORK.y] = place, points[place, GIVEN.x], points[place, GIVEN.y]
-    draft.nodes[k, NODE.arrive] = begins + points[begin, GIVEN.t]
-    draft.nodes[k, NODE.leave] = begins + points[end, GIVEN.t]
+    work[k, _WORK.entry], work[k, _WORK.x], work[k, _WORK.y] = place, points[place, POINT.x], points[place, POINT.y]
+    draft.nodes[k, NODE.arrive] = begins + points[begin, POINT.t]
+    draft.nodes[k, NODE.leave] = begins + points[end, POINT.t]
 
 
 @inlined
@@ -184,10 +184,10 @@ def _write_times(draft, begins, count):
     while k < count:
         begin, place, end = _find_rest(points, k, count)
         before = whole(work[last, _WORK.entry]) if last >= 0 else 0
-        is_at_once = points[place, GIVEN.t] - points[before, GIVEN.t] < MERGING_TIME
+        is_at_once = points[place, POINT.t] - points[before, POINT.t] < MERGING_TIME
         is_near = last >= 0 and _gap(points, before, place) <= (MAX_JUMP if is_at_once else MERGING_DISTANCE)
         if is_near and begin < end and is_rest(nodes, last):
-            nodes[last, NODE.leave] = begins + points[end, GIVEN.t]
+            nodes[last, NODE.leave] = begins + points[end, POINT.t]
         elif begin < end or not is_near:
             last = last if is_near else last + 1
             _set_node(draft, last, place, begin, end, begins)
@@ -266,7 +266,7 @@ def _tangent(work, k, count):
 @inlined
 def _yaw_at(draft, k):
     """Specified yaw (rad) at a node."""
-    return draft.points[whole(draft.work[k, _WORK.entry]), GIVEN.yaw]
+    return draft.points[whole(draft.work[k, _WORK.entry]), POINT.yaw]
 
 
 @inlined
@@ -275,7 +275,7 @@ def _write_places(draft, arm, count):
 
     The heading is the yaw or else the tangent. If both are unknown, the place is that of the tracked point.
     """
-    work, has_yaws = draft.work, _is_specified(draft.points, GIVEN.yaw)
+    work, has_yaws = draft.work, _is_specified(draft.points, POINT.yaw)
     for k in range(count):
         heading_cos, heading_sin, yaw = math.nan, math.nan, _yaw_at(draft, k)
         if has_yaws and math.isfinite(yaw):
@@ -302,7 +302,7 @@ def _curvature_between(work, first, last):
 def _check_yaw(draft, count):
     """Return `OK` and the last node, or `WRONG_YAW` or `REVERSE_AHEAD` (motion against the yaw) and the node there."""
     work = draft.work
-    for k in range(count if _is_specified(draft.points, GIVEN.yaw) else 0):
+    for k in range(count if _is_specified(draft.points, POINT.yaw) else 0):
         after = _distant_node(work, k, 1, YAW_BASE, count)
         if after >= 0 and math.isfinite(_yaw_at(draft, k)) and math.isfinite(_yaw_at(draft, after)):
             x, y, _ = _chord(work, k, after)
@@ -353,7 +353,7 @@ def _estimate_speed(draft, k, count):
 def _write_speeds(draft, arm, count):
     """Write the speeds of the centre of mass at the nodes, specified or else estimated from the places."""
     points, nodes, work = draft.points, draft.nodes, draft.work
-    has_speeds, has_curvatures = _is_specified(points, GIVEN.speed), _is_specified(points, GIVEN.curvature)
+    has_speeds, has_curvatures = _is_specified(points, POINT.speed), _is_specified(points, POINT.curvature)
     for k in range(count):
         entry = whole(work[k, _WORK.entry])
         tangent_cos, tangent_sin = _tangent(work, k, count)
@@ -363,9 +363,9 @@ def _write_speeds(draft, arm, count):
             slip_cos, slip_sin = 1.0, 0.0
         before, after = _neighbours(work, k, count)
         curvature = _curvature_between(work, k if before < 0 else before, max(k, after))
-        if has_curvatures and math.isfinite(points[entry, GIVEN.curvature]):
-            curvature = points[entry, GIVEN.curvature]
-        speed, path_speed = _estimate_speed(draft, k, count), points[entry, GIVEN.speed] / slip_cos
+        if has_curvatures and math.isfinite(points[entry, POINT.curvature]):
+            curvature = points[entry, POINT.curvature]
+        speed, path_speed = _estimate_speed(draft, k, count), points[entry, POINT.speed] / slip_cos
         if has_speeds and math.isfinite(path_speed) and (k == count - 1 or path_speed >= 0.5 * speed):
             speed = max(path_speed, 0.0)
         nodes[k, NODE.speed] = 0.0 if is_rest(nodes, k) else speed * _length(slip_cos, slip_sin - arm * curvature)
@@ -400,7 +400,7 @@ def _insert_moving_nodes(draft, count):
 
 @exported(several(int64, int64, int64)(matrix, float64, float64, matrix))
 def condition(points, arm, begins, nodes):
-    """Write the nodes (`NODE`) of a trajectory, rows of `GIVEN`; return a status, an entry, and the number of nodes.
+    """Write the nodes (`NODE`) of a trajectory, rows of `POINT`; return a status, an entry, and the number of nodes.
 
     arm: m, from the centre of mass forwards to the tracked point; begins: s, time 0 of the trajectory on the clock of
     the tracker; nodes: at least 2 n + 2 rows for n points; the rows behind the result are scratch.
@@ -416,7 +416,7 @@ def condition(points, arm, begins, nodes):
         return status, entry, 0
     if len(nodes) < 2 * n + 2:
         return TOO_FEW_NODES, 0, 0
-    while forwards < n and not points[forwards, GIVEN.speed] < -REST_SPEED:
+    while forwards < n and not points[forwards, POINT.speed] < -REST_SPEED:
         forwards += 1
     draft, work = _Draft(points, nodes, nodes[n + 1 :]), nodes[n + 1 :]
     placed = _write_times(draft, begins, max(forwards, 1))

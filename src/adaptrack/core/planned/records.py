@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..kernel import Field, columns, matrix, record, rows, vector
 
-GIVEN = columns(
+POINT = columns(
     Field("t", "s", 0.0, "time of arrival after the stamp; never decreases"),
     Field("x", "m", 0.0, "of the tracked point"),
     Field("y", "m", 0.0, "of the tracked point"),
@@ -16,10 +16,8 @@ GIVEN = columns(
 """A point of a planned trajectory, as the planner specifies it."""
 
 NODE = columns(
-    "x",
-    "y",  # m, of the centre of mass
-    "arrive",
-    "leave",  # s, on the tracker's clock: times of arrival and departure, which differ at a rest
+    "x", "y",  # m, of the centre of mass
+    "arrive", "leave",  # s, on the tracker's clock: times of arrival and departure, which differ at a rest
     "speed",  # m/s
 )  # fmt: skip
 """A place of a conditioned trajectory, at least `condition.MERGING_DISTANCE` from the next."""

@@ -80,7 +80,7 @@ def project_nodes(nodes, count, near, line, feet):
 
 
 @inlined
-def _interpolate_offset(s, feet, count, first):
+def interpolate_offset(s, feet, count, first):
     """Offset (m) of the nodes at an arc length (m), and the node before; the search begins at node `first`."""
     while first < count - 2 and feet[first + 1, 0] <= s:
         first += 1
@@ -141,7 +141,7 @@ def write_points(nodes, count, feet, until, car, line, old_points, points):
             s = old_points[i, 2]
             if not begin <= s <= until:
                 continue
-            offset, segment = _interpolate_offset(s, feet, count, segment)
+            offset, segment = interpolate_offset(s, feet, count, segment)
             offset *= _smooth_step(s, fade, until)
             _, _, heading, _ = point_at(s, line)
             points[end, 0] = old_points[i, 0] - offset * sin(heading)

@@ -33,7 +33,7 @@ from ..physics.forces import GRAVITY
 from ..planned import clock, splice
 from ..planned.condition import condition, is_rest
 from ..planned.meant_line import FAR_SHARE, FAR_TIME, hides_error, remember_place
-from ..planned.records import FALLBACK, GIVEN, NODE, PLANNER, STOP, PlannedSpeeds
+from ..planned.records import FALLBACK, NOBODY, NODE, PLANNER, POINT, STOP, PlannedSpeeds
 from ..planned.timing import time_at
 from ..roads.noise import noise_of, smooth_points
 from ..roads.path import PATH_SCRATCH, cells_of, line_in, path_through, words_of
@@ -253,7 +253,7 @@ def _checksum_of(points):
     """A number that differs for almost all trajectories of different times or poses."""
     total = 0.0
     for j in range(len(points)):
-        for i in range(GIVEN.speed):
+        for i in range(POINT.speed):
             total = points[j, i] - 0.9999 * total if points[j, i] == points[j, i] else total
     return total
 
@@ -263,13 +263,10 @@ def _watch_meant_line(arrival, car, count, buffers, tracker):
     """Report a planner that hides the error of the controller, and store a place of this trajectory."""
     planned, nodes, feet = tracker.planned, buffers.nodes, buffers.feet
     settings, memory = planned.settings[0], planned.memory[0]
-    if car.station == car.station:
-        k = 0
-        while k < count - 1 and feet[k + 1, 0] <= car.station:
-            k += 1
+    if car.station == car.station and count > 1:
         elapsed = clip(arrival.time - memory.arrival, 0.0, 1.0)
-        offset = tracker.memory[0].offset - feet[k, 1]
-        if hides_error(car.x, car.y, offset, elapsed, settings, planned.far, memory):
+        line_offset, _ = splice.interpolate_offset(car.station, feet, count, 0)
+        if hides_error(car.x, car.y, tracker.memory[0].offset - line_offset, elapsed, settings, planned.far, memory):
             report(memory_of(tracker.check.memory, 0), MISTAKES.plan_begins_at_car, abs(memory.meant_offset), 0.0, 0.0)
     time_ahead = min(FAR_TIME, FAR_SHARE * (nodes[count - 1, NODE.arrive] - arrival.time))
     if time_ahead > 0.0:
@@ -281,7 +278,7 @@ def _watch_meant_line(arrival, car, count, buffers, tracker):
 
 @exported(several(int64, int64, int64)(matrix, Arrival, float64, Place(TrackerRecord), vector, int_vector))
 def take_trajectory(points, arrival, friction, tracker, buffer, parts):
-    """Convert a trajectory, `GIVEN` (n, 7), to a line with speeds and times in a buffer (`trajectory_words`).
+    """Convert a trajectory, `POINT` (n, 7), to a line with speeds and times in a buffer (`trajectory_words`).
 
     friction: low end of the estimate, for a fallback; NaN: unknown. parts: `PARTS`. Return a verdict of
     `planned.clock`, a status of `planned.condition` or one with `LINE_FLAW`, and the index of the point that it is
@@ -290,30 +287,30 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
     planned, checksum, is_fallback = tracker.planned, _checksum_of(points), arrival.role == FALLBACK
     settings, memory = planned.settings[0], planned.memory[0]
     if len(points) == 0:
-        return clock.SILENT, OK, 0
+        return clock.VERDICT.silent, OK, 0
     begins = arrival.time
     if not is_fallback:
         verdict, begins = clock.convert_stamp(arrival.stamp, arrival.time, settings, memory)
-        if verdict != clock.TAKEN:
+        if verdict != clock.VERDICT.taken:
             return verdict, OK, 0
         if memory.driven_by == PLANNER and checksum == memory.checksum:
             memory.stamp, memory.arrival = max(memory.stamp, arrival.stamp), arrival.time
-            return clock.SAME, OK, 0
+            return clock.VERDICT.same, OK, 0
     buffers = _buffers_in(buffer, len(points), len(planned.points))
     nodes, speeds = buffers.nodes, buffers.speeds
     status, entry, count = condition(points, settings.tracked_arm, begins, nodes)
     if count == 0:
-        return clock.TAKEN, status, entry
+        return clock.VERDICT.taken, status, entry
     car = _extrapolate_car(arrival.time, tracker)
     flaw, count, point_count = _write_line(arrival, car, count, buffers, tracker)
     if flaw != OK:
-        return clock.TAKEN, flaw, 0
+        return clock.VERDICT.taken, flaw, 0
     line, _ = line_in(buffers.path)
     if is_fallback and not _is_fit_fallback(friction, car, nodes, count, line):
-        return clock.UNFIT, OK, 0
+        return clock.VERDICT.unfit, OK, 0
     if not is_fallback and _must_wait(arrival, car, nodes, line, settings, memory):
         memory.stamp, memory.arrival = arrival.stamp, arrival.time
-        return clock.WAITING, OK, 0
+        return clock.VERDICT.waiting, OK, 0
     place_count, stop_count = _write_speeds(nodes, count, line, speeds, buffers.stops)
     if is_fallback:
         _shift_times(arrival.time, _nearest_station(car, line), place_count, speeds)
@@ -324,7 +321,7 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
     _, _, speeds_at, stops_at, path_at = _offsets(len(points), len(planned.points))
     parts[PARTS.speeds_at], parts[PARTS.stops_at], parts[PARTS.path_at] = speeds_at, stops_at, path_at
     parts[PARTS.room] = speeds.s.size
-    return clock.TAKEN, status, entry
+    return clock.VERDICT.taken, status, entry
 
 
 @exported(void(Arrival, Place(TrackerRecord)))
@@ -335,10 +332,8 @@ def begin_trajectory(arrival, tracker):
     lines are far from each other.
     """
     m, memory = tracker.memory[0], tracker.planned.memory[0]
-    old_offset, near = m.offset, math.nan
-    if m.started > 0 and pose.has_path(tracker):
-        near = nearest(m.x, m.y, m.yaw, ACROSS_PENALTY, math.nan, pose.line(tracker))
-    tracker_follow(near, tracker)
+    old_offset = m.offset
+    tracker_follow(math.nan, tracker)
     is_gradual = arrival.is_urgent == 0 and abs(m.offset - old_offset) <= MAX_REFERENCE_OFFSET
     m.aside = clip(m.aside + m.offset - old_offset, -MAX_REFERENCE_OFFSET, MAX_REFERENCE_OFFSET) if is_gradual else 0.0
     memory.driven_by, memory.debt, memory.is_leaving = arrival.role, 0.0, 0
@@ -348,12 +343,15 @@ def begin_trajectory(arrival, tracker):
 def leave_planner(tracker):
     """Stop following trajectories; the tracker follows a path without times."""
     clock.forget_planner(tracker.planned.memory[0])
+    tracker.planned.memory[0].driven_by = NOBODY
 
 
 @exported(int64(float64, Place(TrackerRecord)))
 def watch_planner(time, tracker):
     """Return 1 if the planner has just fallen silent at a time (s): take a fallback, otherwise the car stops."""
     settings, memory = tracker.planned.settings[0], tracker.planned.memory[0]
+    if memory.arrival == -math.inf:  # the tracker has just engaged
+        memory.arrival = time
     if memory.driven_by != PLANNER or time - memory.arrival <= settings.silence:
         return 0
     memory.driven_by, memory.returned = STOP, 0

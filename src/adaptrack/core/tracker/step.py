@@ -291,17 +291,15 @@ def _status(tracker, m, is_held):
 
 @inlined
 def _keep_time(tracker):
-    """Where the car is to be by the time, and how fast; nothing without a planner."""
+    """Write lateness and target speed of a planned trajectory, and who drives; nothing without a planner."""
     planned, m, tracked = tracker.planned, tracker.memory[0], tracker.tracked
     if planned.memory.size == 0:
         tracked[signals.TRACKED.late] = math.nan
         return
-    station = tracked[signals.TRACKED.station] if m.started > 0 else math.nan
-    keep_time(pose.time_of(m, tracker.settings[0].period), station, pose.forward(m), planned)
-    tracked[signals.TRACKED.late], tracked[signals.TRACKED.driven_by] = (
-        planned.memory[0].late,
-        planned.memory[0].driven_by,
-    )
+    time = pose.time_of(m, tracker.settings[0].period)
+    keep_time(time, tracked[signals.TRACKED.station], pose.forward(m), planned)
+    tracked[signals.TRACKED.late] = planned.memory[0].late
+    tracked[signals.TRACKED.driven_by] = planned.memory[0].driven_by
 
 
 # -- whole calls ------------------------------------------------------------------------------------------------------

@@ -205,16 +205,6 @@ typedef struct {
     int is_urgent; /* 1: it counts at once, without a transition */
 } adaptrack_trajectory;
 
-/* What becomes of a trajectory, see adaptrack_config.h:
-   TAKEN    it is followed.
-   SAME     it is the one that is followed, with a new stamp.
-   OLDER    its stamp is older than that of the one that is followed.
-   STALE    its stamp is too old, or of another clock, which is believed at its third stamp in a row.
-   EARLY    its stamp lies more than 0.1 s in the future, or is of another clock, likewise.
-   SILENT   it has no points.
-   WAITING  the planner was silent: it drives again at the third trajectory in a row that begins at the car.
-   UNFIT    of a fallback alone: see the table below. */
-
 /* Give a tracker memory for trajectories, aligned to 8 bytes and of ADAPTRACK_PLANNER_SIZE: once, behind adaptrack_init.
    It must stay as it is until the tracker is initialised again. ADAPTRACK_OUT_OF_ORDER while a trajectory is followed.
    */
