@@ -9,6 +9,7 @@ Two buffers take turns: one holds the followed trajectory, the next one is writt
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from ..kernel import (
     OK,
@@ -64,6 +65,11 @@ FOLLOWER_INPUTS = (
 _INPUT = columns(*FOLLOWER_INPUTS)
 
 
+def _numbered(names: Iterable[str]) -> str:
+    """The numbers of names, as text."""
+    return ", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(names))
+
+
 def _array(name: str, field: Field) -> Field:
     """The array of a quantity of points."""
     is_optional = field.default != 0.0
@@ -93,16 +99,16 @@ _OF_CONDITION = (
     (condition.WRONG_SPEED, FLAW.wrong_speed),
     (planner.LINE_FLAW + path.TOO_SMALL, FLAW.too_long),
 )  # fmt: skip
+_BAD = "impossible", "impossible_fallback"
 NO_TRAJECTORY, BAD_TRAJECTORY, BAD_FALLBACK = -1, len(VERDICT), len(VERDICT) + 1
 """Verdicts in addition to `VERDICT`: none yet; the trajectory, or the fallback that came with it, is impossible."""
-_VERDICTS = ", ".join(f"{i} {name}" for i, name in enumerate((*VERDICT._fields, "impossible", "impossible fallback")))
 TARGET_OUTPUT = Field("target_speed", "m/s", 0.0, "planned one period ahead by the times; before the first trajectory "
                       "planned_speed_ahead")  # fmt: skip
 """Output of a unit without speed control, before `FOLLOWER_OUTPUTS`."""
 FOLLOWER_OUTPUTS = (
     *fields_of(TRACKED)[TRACKED.late : TRACKED.driven_by + 1],
-    Field("verdict", "", NO_TRAJECTORY, f"on the last trajectory: {_VERDICTS}; -1 none yet"),
-    Field("flaw", "", 0, "why it is impossible: " + ", ".join(f"{i} {n.replace('_', ' ')}" for i, n in enumerate(_FLAWS))),
+    Field("verdict", "", NO_TRAJECTORY, f"on the last trajectory: {_numbered((*VERDICT._fields, *_BAD))}; -1 none yet"),
+    Field("flaw", "", 0, f"why it is impossible: {_numbered(_FLAWS)}"),
     Field("flaw_point", "", 0, "number of the impossible point, from 1 on; 0: none"),
 )  # fmt: skip
 """The last outputs of all."""
