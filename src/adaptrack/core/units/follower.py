@@ -109,7 +109,7 @@ FOLLOWER_OUTPUTS = (
     *fields_of(TRACKED)[TRACKED.late : TRACKED.driven_by + 1],
     Field("verdict", "", NO_TRAJECTORY, f"on the last trajectory: {_numbered((*VERDICT._fields, *_BAD))}; -1 none yet"),
     Field("flaw", "", 0, f"why it is impossible: {_numbered(_FLAWS)}"),
-    Field("flaw_point", "", 0, "number of the impossible point, from 1 on; 0: none"),
+    Field("flaw_point", "", 0, "number of that point, from 1 on; the last one for a flaw of the whole way; 0: none"),
 )  # fmt: skip
 """The last outputs of all."""
 _OUTPUT = columns(*FOLLOWER_OUTPUTS)
@@ -277,7 +277,7 @@ def _follow(points, arrival, unit):
         if along.control_speed != 0:
             longitudinal_follow(along.longitudinal)
         planner.begin_trajectory(arrival, along.tracker)
-    return verdict, flaw, point
+    return verdict, flaw, point if flaw < FLAW.no_line else len(points) - 1
 
 
 @inlined
