@@ -90,7 +90,7 @@ def test_each_value_says_what_it_is_and_in_which_unit():
 
 def test_a_unit_follows_trajectories_and_its_fallback_as_a_tracker_does_to_the_bit():
     tracker = at.Tracker(at.Stanley(CAR, period=0.05), following=at.Following())
-    unit = controller_unit(at.Stanley(CAR, period=0.05), following=at.Following(), points=8)
+    unit = controller_unit(at.Stanley(CAR, period=0.05), following=at.Following(), trajectory_points=8)
     values, record, places = unit.record.values, Resident(unit.record), {v.name: i for i, v in enumerate(unit.values)}
     assert follower.follower_begin(record) == contract.OK
     t, drivers, verdicts = np.linspace(0.0, 3.5, 8), [], []

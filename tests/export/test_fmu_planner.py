@@ -40,7 +40,7 @@ class Follower(Instance):
         if not file.exists():
             at.export_fmu(
                 copy.deepcopy(CONTROLLER), file, None if path is None else at.RoadDrive(path, plan), version=version,
-                driver=CONTROLS[control], following=FOLLOWING, points=POINTS,
+                driver=CONTROLS[control], following=FOLLOWING, trajectory_points=POINTS,
             )  # fmt: skip
         self.number, self.answers = 0, (*ANSWERS, *(SPEED_REQUEST._fields if control == "speed" else ["target_speed"]))
         super().__init__(file, folder, name)
@@ -247,7 +247,7 @@ def test_a_state_holds_trajectory_and_fallback_and_goes_on_in_another_instance_t
 
 
 def test_the_command_writes_a_controller_that_follows(folder, monkeypatch, capsys):
-    options = ["--road", "country", "--planner", "--points", "20", "--out", str(folder / "command")]
+    options = ["--road", "country", "--planner", "--trajectory-points", "20", "--out", str(folder / "command")]
     monkeypatch.setattr(sys, "argv", ["adaptrack", "export", "fmu", *options])
     assert cli.main() == 0
     assert "follows trajectories" in capsys.readouterr().out
@@ -258,5 +258,5 @@ def test_the_command_writes_a_controller_that_follows(folder, monkeypatch, capsy
 def test_a_controller_needs_a_path_unless_it_follows(folder):
     with pytest.raises(at.InvalidInput, match=r"following=Following\(\)"):
         controller_unit(CONTROLLER)
-    with pytest.raises(at.InvalidInput, match="points = 1: must be"):
-        controller_unit(CONTROLLER, following=FOLLOWING, points=1)
+    with pytest.raises(at.InvalidInput, match="trajectory_points = 1: must be"):
+        controller_unit(CONTROLLER, following=FOLLOWING, trajectory_points=1)

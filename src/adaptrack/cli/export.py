@@ -166,7 +166,7 @@ def export_fmu(
     ),
     prescribed_speed: bool = options.prescribed_speed_flag(),
     planner: bool = flag("Follow a planner's trajectories too, which are inputs of the controller."),
-    points: int = option("N", "Points of a trajectory at most, with --planner.", 100, min=2, max=1000),
+    trajectory_points: int = option("N", "Points of a trajectory at most, with --planner.", 100, min=2, max=1000),
     as_json: bool = json_flag(),
 ) -> None:
     """Export a controller and a car as two FMUs for co-simulation.
@@ -191,7 +191,7 @@ def export_fmu(
     units = (
         controller_unit(
             controller, checked.road, checked.plan, speed_preview=preview, speed=speed,
-            following=at.Following() if planner else None, points=points,
+            following=at.Following() if planner else None, trajectory_points=trajectory_points,
         ),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )  # fmt: skip

@@ -71,7 +71,7 @@ def export_fmu(
     period: Positive | None = None,
     furthest: Annotated[Bound, "m"] = 10.0,
     following: Following | None = None,
-    points: TrajectoryPoints = DEFAULT_POINTS,
+    trajectory_points: TrajectoryPoints = DEFAULT_POINTS,
 ) -> Path:
     """Write a car of the simulated world, or a controller with its tracker, as an FMU; its path.
 
@@ -81,7 +81,7 @@ def export_fmu(
     period: of a car, as for `simulate`; period: by default the profile's; driver: of a car, as for `simulate`: with a
     `SpeedControl` its inputs ``force`` and ``hold`` move it; of a controller: a `SpeedControl` that it runs;
     furthest: of a controller, m, from the path, beyond which a status says so; following: of a controller how it
-    follows a planner's trajectories, which are inputs then, of at most so many points; it needs no route.
+    follows a planner's trajectories, which are inputs then, of at most `trajectory_points` points; it needs no route.
 
     Raises
     ------
@@ -97,7 +97,9 @@ def export_fmu(
         raise InvalidInput("export_fmu: route: a controller follows a road: give a RoadDrive.")
     road, plan = (None, None) if route is None else (route.road, route.plan)
     speed: Any = driver  # a `Driver` is a part of a simulated car: `controller_unit` refuses it
-    unit = controller_unit(part, road, plan, furthest=furthest, speed=speed, following=following, points=points)
+    unit = controller_unit(
+        part, road, plan, furthest=furthest, speed=speed, following=following, trajectory_points=trajectory_points
+    )
     return write_fmu(unit, path, version, platforms)
 
 

@@ -189,15 +189,15 @@ def controller_unit(
     speed_preview: Annotated[NotNegative, "s"] | None = None,
     speed: SpeedControl | None = None,
     following: Following | None = None,
-    points: TrajectoryPoints = DEFAULT_POINTS,
+    trajectory_points: TrajectoryPoints = DEFAULT_POINTS,
 ) -> Unit:
     """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
 
     plan, furthest: as of `Tracker`; speed_preview: how far ahead the driven car needs its planned speed, by default a
     period; speed: the speed control behind the tracker, for which the plan counts; the grade is that of the path, under
-    the car the input ``grade`` where it is known. following: how trajectories are followed, which are inputs then, of
-    at most so many points; without a path the car stands until the first one. The comfort of a speed control is then
-    that of `following`. What the controller has learned so far travels along; it stays as it is.
+    the car the input ``grade`` where it is known; following: how trajectories are followed, which are inputs then, of
+    at most `trajectory_points` points. Without a path the car stands until the first one. The comfort of a speed
+    control is that of `following`. What the controller has learned so far travels along; it stays as it is.
 
     Raises
     ------
@@ -239,13 +239,13 @@ def controller_unit(
     if following is None:
         record = controller.SteeringUnit(*_columns(values), tracking=tracking, points=np.zeros(2 * horizon))
         return Unit("controller", title, record, values, constants)
-    place, values = len(values), values + _follower_values(points, speed is not None)
-    words, plan_words = trajectory_words(points, speed is not None)
+    place, values = len(values), values + _follower_values(trajectory_points, speed is not None)
+    words, plan_words = trajectory_words(trajectory_points, speed is not None)
     followed = follower.FOLLOWED.new(1, half=-1, horizon=cells)
     record = follower.FollowerUnit(
         *_columns(values), tracking, np.zeros(2 * horizon), place, followed, np.zeros((2, words)),
         np.zeros((2, len(planner.PARTS)), np.int64), np.zeros((2, plan_words)), np.zeros(1, np.int64),
-        *np.zeros((2, points, len(POINT))), PLANNED_MEMORY.new(1), np.zeros(tracking.tracker.planned.far.size),
+        *np.zeros((2, trajectory_points, len(POINT))), PLANNED_MEMORY.new(1), np.zeros(tracking.tracker.planned.far.size),
     )  # fmt: skip
     return Unit("controller", f"{title}, follows trajectories", record, values, (*constants, "road"))
 
