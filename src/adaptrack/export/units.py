@@ -239,15 +239,16 @@ def controller_unit(
     if following is None:
         record = controller.SteeringUnit(*_columns(values), tracking=tracking, points=np.zeros(2 * horizon))
         return Unit("controller", title, record, values, constants)
-    place, values = len(values), values + _follower_values(trajectory_points, speed is not None)
     words, plan_words = trajectory_words(trajectory_points, speed is not None)
-    followed = follower.FOLLOWED.new(1, half=-1, horizon=cells)
+    all_values = values + _follower_values(trajectory_points, speed is not None)
     record = follower.FollowerUnit(
-        *_columns(values), tracking, np.zeros(2 * horizon), place, followed, np.zeros((2, words)),
-        np.zeros((2, len(planner.PARTS)), np.int64), np.zeros((2, plan_words)), np.zeros(1, np.int64),
-        *np.zeros((2, trajectory_points, len(POINT))), PLANNED_MEMORY.new(1), np.zeros(tracking.tracker.planned.far.size),
+        *_columns(all_values), tracking=tracking, points=np.zeros(2 * horizon), first=len(values),
+        followed=follower.FOLLOWED.new(1, half=-1, horizon=cells), buffers=np.zeros((2, words)),
+        parts=np.zeros((2, len(planner.PARTS)), np.int64), plans=np.zeros((2, plan_words)), road=np.zeros(1, np.int64),
+        arrived=np.zeros((trajectory_points, len(POINT))), fallback=np.zeros((trajectory_points, len(POINT))),
+        memory_before=PLANNED_MEMORY.new(1), far_before=np.zeros_like(tracking.tracker.planned.far),
     )  # fmt: skip
-    return Unit("controller", f"{title}, follows trajectories", record, values, (*constants, "road"))
+    return Unit("controller", f"{title}, follows trajectories", record, all_values, (*constants, "road"))
 
 
 def _speed_control(
