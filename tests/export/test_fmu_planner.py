@@ -122,7 +122,7 @@ def test_both_descriptions_are_valid(folder):
 
 
 def test_trajectories_are_values_behind_those_of_a_controller_without(folder):
-    plain, following = (controller_unit(CONTROLLER, PATH, following=how) for how in (None, FOLLOWING))
+    plain, following = (controller_unit(CONTROLLER, PATH, following=settings) for settings in (None, FOLLOWING))
     assert following.values[: len(plain.values)] == plain.values
     assert {"trajectory_x[1]", "fallback_yaw[100]", "verdict"} <= {value.name for value in following.values}
     description = zipfile.ZipFile(write_fmu(plain, folder / "plain.fmu")).read("modelDescription.xml")
@@ -205,21 +205,21 @@ REFUSALS = {
 def test_an_impossible_trajectory_is_a_warning_and_the_car_goes_on_as_before(case, version, folder, capfd):
     inputs, verdict, flaw, point = REFUSALS[case]
     follower, twin = (Follower(folder, "speed", version, name) for name in ("one", "twin"))
-    for each in (follower, twin):
-        each.send(cut(0.0, 0.0))
-        each.drive_on(2)
+    for instance in (follower, twin):
+        instance.send(cut(0.0, 0.0))
+        instance.drive_on(2)
     follower.send(SLOW, **inputs)
     follower.drive_on(1)
     assert follower.get("verdict", "flaw", "flaw_point") == [verdict, flaw, point]
-    said = "".join(capfd.readouterr())
+    log = "".join(capfd.readouterr())
     refused = "fallback" if verdict == BAD_FALLBACK else "trajectory"
-    assert f"at t = 0.1 s the {refused} is refused, and the car goes on as before: point {point}: " in said
-    assert "warning" in said.lower()
+    assert f"at t = 0.1 s the {refused} is refused, and the car goes on as before: point {point}: " in log
+    assert "warning" in log.lower()
     twin.drive_on(1)
     twin.set(trajectory_number=2)  # the one before
     follower.send(cut(0.0, 0.0))
-    for each in (follower, twin):
-        each.drive_on(1)
+    for instance in (follower, twin):
+        instance.drive_on(1)
     assert follower.drive_on(25) == twin.drive_on(25)
     assert follower.get("flaw") == 0
 

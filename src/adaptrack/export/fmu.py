@@ -33,7 +33,7 @@ from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.memory import CACHE_LINE_WORDS, Member, file_of, members_of
 from adaptrack.export.units import (
     CONSTANT_VALUE,
-    DEFAULT_POINTS,
+    DEFAULT_TRAJECTORY_POINTS,
     ELEMENT,
     INPUT_VALUE,
     PARAMETER,
@@ -71,7 +71,7 @@ def export_fmu(
     period: Positive | None = None,
     furthest: Annotated[Bound, "m"] = 10.0,
     following: Following | None = None,
-    trajectory_points: TrajectoryPoints = DEFAULT_POINTS,
+    trajectory_points: TrajectoryPoints = DEFAULT_TRAJECTORY_POINTS,
 ) -> Path:
     """Write a car of the simulated world, or a controller with its tracker, as an FMU; its path.
 

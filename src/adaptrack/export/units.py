@@ -48,7 +48,7 @@ MAX_FREE_SPEED = 70.0
 """m/s, to which a car is integrated where no drive says how fast it goes."""
 TrajectoryPoints = Annotated[Whole, within(2, 1000)]
 """Points that a trajectory has at most: the length of the arrays of its inputs."""
-DEFAULT_POINTS = 100
+DEFAULT_TRAJECTORY_POINTS = 100
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def controller_unit(
     speed_preview: Annotated[NotNegative, "s"] | None = None,
     speed: SpeedControl | None = None,
     following: Following | None = None,
-    trajectory_points: TrajectoryPoints = DEFAULT_POINTS,
+    trajectory_points: TrajectoryPoints = DEFAULT_TRAJECTORY_POINTS,
 ) -> Unit:
     """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
 
@@ -252,7 +252,7 @@ def controller_unit(
 
 
 def _speed_control(
-    control: SpeedControl, driven: Controller, path: Any, plan: Any, planner_part: PlannerFollower | None
+    control: SpeedControl, built_controller: Controller, path: Any, plan: Any, planner_part: PlannerFollower | None
 ) -> tuple[Any, int]:
     """A speed control at its start, and how many cells it looks ahead there.
 
@@ -263,9 +263,9 @@ def _speed_control(
         comfort, top_speed = planner_part.following.comfort, control.car.domain.speed[1]
         path, plan = planner_part.standing_plan() if path is None else (path, plan)
     fastest = float(plan.speed.max())
-    start = SpeedStart(comfort or plan.comfort, max(fastest, top_speed), patience_of(driven))
+    start = SpeedStart(comfort or plan.comfort, max(fastest, top_speed), patience_of(built_controller))
     way = speed_path(path, plan, control.stop_at_end)
-    longitudinal = longitudinal_of(control, driven.period, start, way, driven)
+    longitudinal = longitudinal_of(control, built_controller.period, start, way, built_controller)
     return longitudinal, horizon_cells(fastest, longitudinal.settings)
 
 

@@ -1,9 +1,9 @@
 """A controller that follows a planner, as a unit of co-simulation: `core.units.controller` with trajectories as inputs.
 
-A step takes the trajectory of the inputs in if `trajectory_number` or `trajectory_stamp` has changed, with the fallback
-beside it, and is then a call of the tracker: that of `Tracker.follow` and `Tracker.step`, to the bit.
+A step follows the trajectory of the inputs, with its fallback, if `trajectory_number` or `trajectory_stamp` has changed.
+Then it calls the tracker. The results are those of `Tracker.follow` and `Tracker.step`, to the bit.
 
-Two buffers take turns: one holds the followed trajectory, the next one is written to the other. All of this is state.
+One of two buffers holds the followed trajectory; the next trajectory is written to the other buffer. Both are state.
 """
 
 from __future__ import annotations
@@ -72,8 +72,7 @@ def _numbered(names: Iterable[str]) -> str:
 
 def _array(name: str, field: Field) -> Field:
     """The array of a quantity of points."""
-    is_optional = field.default != 0.0
-    meaning = f"{field.meaning}, or 0 at all points: unknown" if is_optional else field.meaning
+    meaning = field.meaning.replace("NaN: unknown", "NaN, or 0 at all points: unknown")
     return field._replace(name=f"{name}_{field.name}", meaning=meaning)
 
 
@@ -93,13 +92,13 @@ _FLAWS = {
 }
 FLAW = columns(*(Field(name, "", 0, meaning) for name, meaning in _FLAWS.items()))
 """Why a trajectory or a fallback is impossible."""
-_OF_CONDITION = (
+_FLAW_STATUSES = (
     (condition.BAD_NUMBER, FLAW.bad_number), (condition.FALLING_TIME, FLAW.falling_time),
     (condition.PLACE_JUMP, FLAW.place_jump), (condition.WRONG_YAW, FLAW.wrong_yaw),
     (condition.WRONG_SPEED, FLAW.wrong_speed),
     (planner.LINE_FLAW + path.TOO_SMALL, FLAW.too_long),
 )  # fmt: skip
-_BAD = "impossible", "impossible_fallback"
+_IMPOSSIBLE = "impossible", "impossible_fallback"
 NO_TRAJECTORY, BAD_TRAJECTORY, BAD_FALLBACK = -1, len(VERDICT), len(VERDICT) + 1
 """Verdicts in addition to `VERDICT`: none yet; the trajectory, or the fallback that came with it, is impossible."""
 TARGET_OUTPUT = Field("target_speed", "m/s", 0.0, "planned one period ahead by the times; before the first trajectory "
@@ -107,7 +106,7 @@ TARGET_OUTPUT = Field("target_speed", "m/s", 0.0, "planned one period ahead by t
 """Output of a unit without speed control, before `FOLLOWER_OUTPUTS`."""
 FOLLOWER_OUTPUTS = (
     *fields_of(TRACKED)[TRACKED.late : TRACKED.driven_by + 1],
-    Field("verdict", "", NO_TRAJECTORY, f"on the last trajectory: {_numbered((*VERDICT._fields, *_BAD))}; -1 none yet"),
+    Field("verdict", "", NO_TRAJECTORY, f"on the last trajectory: {_numbered((*VERDICT._fields, *_IMPOSSIBLE))}; -1 none yet"),
     Field("flaw", "", 0, f"why it is impossible: {_numbered(_FLAWS)}"),
     Field("flaw_point", "", 0, "number of that point, from 1 on; the last one for a flaw of the whole way; 0: none"),
 )  # fmt: skip
@@ -127,7 +126,7 @@ FOLLOWED = record(
     ),
     integers=("half", "stops", "horizon", "fallback_count", "fallback_urgent"),
 )  # fmt: skip
-"""What is followed."""
+"""The followed trajectory and its fallback."""
 
 FollowerUnit = record(
     "FollowerUnit",
@@ -199,7 +198,7 @@ def _along_trajectory(half, unit):
 
 @inlined
 def _tracking_of(unit):
-    """The tracker with its controller along what is followed."""
+    """The tracker with its controller along the followed trajectory, before the first one along its own path."""
     half, tracking = unit.followed[0].half, unit.tracking
     tracker, plan = tracking.tracker, tracking.longitudinal.path
     if half >= 0:
@@ -218,8 +217,8 @@ def _flaw_of(status):
     """`FLAW` of a status of `planner.take_trajectory` or `condition`."""
     if status == OK or status == condition.REVERSE_AHEAD:
         return FLAW.none
-    for known, flaw in _OF_CONDITION:
-        if status == known:
+    for flaw_status, flaw in _FLAW_STATUSES:
+        if status == flaw_status:
             return flaw
     return FLAW.no_line
 
