@@ -1,7 +1,7 @@
 """A controller that follows a planner, as a unit of co-simulation: `core.units.controller` with trajectories as inputs.
 
-A step follows the trajectory of the inputs, with its fallback, if `trajectory_number` or `trajectory_stamp` has changed.
-Then it calls the tracker. The results are those of `Tracker.follow` and `Tracker.step`, to the bit.
+A step follows the trajectory of the inputs, with its fallback, if `trajectory_number` or `trajectory_stamp` has
+changed. Then it calls the tracker. The results are those of `Tracker.follow` and `Tracker.step`, to the bit.
 
 One of two buffers holds the followed trajectory; the next trajectory is written to the other buffer. Both are state.
 """
@@ -98,7 +98,7 @@ _FLAW_STATUSES = (
     (condition.WRONG_SPEED, FLAW.wrong_speed),
     (planner.LINE_FLAW + path.TOO_SMALL, FLAW.too_long),
 )  # fmt: skip
-_IMPOSSIBLE = "impossible", "impossible_fallback"
+_VERDICTS = (*VERDICT._fields, "impossible", "impossible_fallback")
 NO_TRAJECTORY, BAD_TRAJECTORY, BAD_FALLBACK = -1, len(VERDICT), len(VERDICT) + 1
 """Verdicts in addition to `VERDICT`: none yet; the trajectory, or the fallback that came with it, is impossible."""
 TARGET_OUTPUT = Field("target_speed", "m/s", 0.0, "planned one period ahead by the times; before the first trajectory "
@@ -106,7 +106,7 @@ TARGET_OUTPUT = Field("target_speed", "m/s", 0.0, "planned one period ahead by t
 """Output of a unit without speed control, before `FOLLOWER_OUTPUTS`."""
 FOLLOWER_OUTPUTS = (
     *fields_of(TRACKED)[TRACKED.late : TRACKED.driven_by + 1],
-    Field("verdict", "", NO_TRAJECTORY, f"on the last trajectory: {_numbered((*VERDICT._fields, *_IMPOSSIBLE))}; -1 none yet"),
+    Field("verdict", "", NO_TRAJECTORY, f"on the last trajectory: {_numbered(_VERDICTS)}; -1 none yet"),
     Field("flaw", "", 0, f"why it is impossible: {_numbered(_FLAWS)}"),
     Field("flaw_point", "", 0, "number of that point, from 1 on; the last one for a flaw of the whole way; 0: none"),
 )  # fmt: skip
