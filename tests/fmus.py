@@ -58,6 +58,14 @@ class Instance:
             return [self.get(f"{name}[{i + 1}]") for i in range(length)]
         return self.fmu.getFloat64([self.variables[name].valueReference], nValues=length)
 
+    def set_array(self, name, numbers):
+        """Set the numbers of an array."""
+        if self.second:
+            first = self.variables[f"{name}[1]"].valueReference
+            self.fmu.setReal(list(range(first, first + len(numbers))), numbers)
+        else:
+            self.fmu.setFloat64([self.variables[name].valueReference], numbers)
+
     def step(self, periods=1, **values):
         self.set(**values)
         at = self.start + self.steps * self.period

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+from adaptrack.control.following import DRIVERS, VERDICTS, DrivenBy, Verdict
 from adaptrack.core.kernel import Resident
+from adaptrack.core.planned.records import POINT
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
-from adaptrack.core.units import car, contract, controller
+from adaptrack.core.units import car, contract, controller, follower
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
 from adaptrack.export.units import CONSTANT_VALUE, INPUT_VALUE, PARAMETER, car_unit, controller_unit
@@ -84,3 +86,39 @@ def test_each_value_says_what_it_is_and_in_which_unit():
         plain = {value.name for value in unit.values if not value.unit and value.type == 0}
         assert all(name.startswith("friction") or name == "grade" for name in plain)
         assert {value.role for value in unit.values} == {CONSTANT_VALUE, PARAMETER, INPUT_VALUE, 0}
+
+
+def test_a_unit_follows_trajectories_and_its_fallback_as_a_tracker_does_to_the_bit():
+    tracker = at.Tracker(at.Stanley(CAR, period=0.05), following=at.Following())
+    unit = controller_unit(at.Stanley(CAR, period=0.05), following=at.Following(), trajectory_points=8)
+    values, record, places = unit.record.values, Resident(unit.record), {v.name: i for i, v in enumerate(unit.values)}
+    assert follower.follower_begin(record) == contract.OK
+    t, drivers, verdicts = np.linspace(0.0, 3.5, 8), [], []
+
+    def write(name, trajectory):
+        values[places[f"{name}_count"]] = len(trajectory.points)
+        for column, numbers in zip(POINT._fields, trajectory.points.T, strict=True):
+            first = places[f"{name}_{column}[1]"]
+            values[first : first + numbers.size] = numbers
+
+    for k in range(24):
+        now, x, y = 0.05 * k, 0.4 * k, 0.2 if k < 4 else 0.1
+        if k < 8 and k % 2 == 0:
+            plan = at.PlannedTrajectory(t, x + 8.0 * t, 0.02 * (x + 8.0 * t) ** 2 / 10.0, stamp=now + (k == 6))
+            rest = at.PlannedTrajectory(t, x + 8.0 * t - 8.0 * t**2 / 7.0, 0.0 * t)
+            write("trajectory", plan)
+            write("fallback", rest)
+            values[places["trajectory_number"]], values[places["trajectory_stamp"]] = k + 1, plan.stamp
+            verdicts.append(tracker.follow(plan, fallback=rest, now=now))
+        for name, value in (("x", x), ("y", y), ("yaw", 0.01 * k), ("speed", 8.0), ("yaw_rate", 0.2)):
+            values[places[name]] = value
+        assert follower.follower_step(record) == contract.OK
+        answer = tracker.step(now, x, y, 0.01 * k, 8.0, 0.2, now=now)
+        ours = [answer.command, answer.offset, answer.station, answer.target_speed, answer.late]
+        theirs = [values[places[name]] for name in ("command", "offset", "station", "target_speed", "late")]
+        assert np.array_equal(ours, theirs)
+        assert values[places["driven_by"]] == DRIVERS.index(answer.driven_by)
+        assert VERDICTS[int(values[places["verdict"]])] is verdicts[-1]
+        drivers.append(answer.driven_by)
+    assert verdicts == [Verdict.TAKEN, Verdict.TAKEN, Verdict.TAKEN, Verdict.EARLY]
+    assert set(drivers) == {DrivenBy.PLANNER, DrivenBy.FALLBACK}

@@ -226,7 +226,7 @@ BOUNDS = {
     "check_plant": "period (0, inf)",
     "check_scheduler": "samples [1, inf); seed [0, inf)",
     "compute_metrics": "move_weight [0, inf)",
-    "export_fmu": "period furthest (0, inf)",
+    "export_fmu": "period furthest (0, inf); trajectory_points [2, 1000]",
     "fit_road": "max_deviation (0, inf)",
     "generate_road": "seed [0, inf); length [100, 1e5]",
     "identify": "mass [1, 1e5]; wheelbase [0.1, 20]; computation [0, 1)",

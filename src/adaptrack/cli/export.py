@@ -165,6 +165,8 @@ def export_fmu(
         "NAME", "Platform of a binary: linux, linux-aarch64, windows, macos; default: this one; may be repeated."
     ),
     prescribed_speed: bool = options.prescribed_speed_flag(),
+    planner: bool = flag("Follow a planner's trajectories too, which are inputs of the controller."),
+    trajectory_points: int = option("N", "Points of a trajectory at most, with --planner.", 100, min=2, max=1000),
     as_json: bool = json_flag(),
 ) -> None:
     """Export a controller and a car as two FMUs for co-simulation.
@@ -187,9 +189,12 @@ def export_fmu(
     driver = speed or (None if prescribed_speed else at.Driver())
     preview = driver.preview if isinstance(driver, at.Driver) else None
     units = (
-        controller_unit(controller, checked.road, checked.plan, speed_preview=preview, speed=speed),
+        controller_unit(
+            controller, checked.road, checked.plan, speed_preview=preview, speed=speed,
+            following=at.Following() if planner else None, trajectory_points=trajectory_points,
+        ),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
-    )
+    )  # fmt: skip
     options.make_folder(out)
     files = [out / f"{unit.name}.fmu" for unit in units]
     with show.progress("compile"):

@@ -36,7 +36,7 @@ from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 from adaptrack.export.memory import CMemory, kernels_number
 from adaptrack.export.recorded_drive import Recorded, record_drive
-from adaptrack.export.tracking import SpeedPart, refuse, speed_part, tracking_memory
+from adaptrack.export.tracking import SpeedPart, refuse, speed_part, tracking_memory, trajectory_words
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -55,8 +55,10 @@ SPEED_CALLED = ("longitudinal_begin", "longitudinal_follow", "longitudinal_relea
                 "speed_path_words", "write_speed_path", "horizon_cells")  # fmt: skip
 PLANNER_CALLED = "take_trajectory", "begin_trajectory", "watch_planner", "leave_planner", "condition"
 """Kernels that it calls for a planner's trajectories."""
-TRAJECTORY_POINTS, KEPT_POINTS, TRAJECTORY_LENGTH = 256, 256, 1000.0
-"""Points of a trajectory, and of the line before, at most; m, of it about."""
+TRAJECTORY_POINTS = 256
+"""Points of a trajectory at most."""
+PLAN_HEAD_WORDS = 8
+"""Of `plan_head` in C."""
 CONSTANTS_FILE = "constants.bin"
 MAX_C_POINTS = 100_000
 """Of a path or a plan."""
@@ -270,7 +272,9 @@ def _planner_config(memory: CMemory) -> str:
     if not memory.record.tracker.planned.settings.size:
         return ""
     drivers = ", ".join(f"ADAPTRACK_DRIVEN_BY_{driver.name} = {i}" for i, driver in enumerate(DRIVERS))
-    words = 64 + len(POINT) * TRAJECTORY_POINTS + 2 * sum(_trajectory_words(memory))
+    has_speed = bool(memory.record.longitudinal.ahead.size)
+    halves = 2 * (sum(trajectory_words(TRAJECTORY_POINTS, has_speed)) + has_speed * PLAN_HEAD_WORDS)
+    words = 64 + len(POINT) * TRAJECTORY_POINTS + halves
     return f"""
 #define ADAPTRACK_PLANNER 1
 #define ADAPTRACK_TRAJECTORY_POINTS {TRAJECTORY_POINTS} /* at most */
@@ -281,13 +285,6 @@ typedef enum {{
 {_enumerators("VERDICT", VERDICT)}
 }} adaptrack_verdict;
 """
-
-
-def _trajectory_words(memory: CMemory) -> tuple[int, int]:
-    """Words for a trajectory, and for its plan with a speed control."""
-    words = planner.trajectory_words(TRAJECTORY_POINTS, KEPT_POINTS, TRAJECTORY_LENGTH)
-    has_speed = bool(memory.record.longitudinal.ahead.size)
-    return words, 8 + speed_path_words(TRAJECTORY_LENGTH + 100.0, 0, TRAJECTORY_POINTS + 2) if has_speed else 0
 
 
 def _printable(text: str) -> str:
@@ -310,9 +307,9 @@ def _layout_header(memory: CMemory) -> str:
         cells = record.longitudinal.ahead.size
         numbers |= {"LONGITUDINAL_CELLS": cells, "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL}
     if record.tracker.planned.settings.size:
-        words, plan_words = _trajectory_words(memory)
+        words, plan_words = trajectory_words(TRAJECTORY_POINTS, has_speed)
         numbers |= {
-            "TRAJECTORY_WORDS": words, "TRAJECTORY_PLAN_WORDS": plan_words - 8, "KEPT_POINTS": KEPT_POINTS,
+            "TRAJECTORY_WORDS": words, "TRAJECTORY_PLAN_WORDS": plan_words, "KEPT_POINTS": planner.KEPT_POINTS,
             "FAR_NUMBERS": record.tracker.planned.far.size, "NODE_COLUMNS": len(NODE),
             "NODE_LEAVE": NODE.leave, "PARTS": len(planner.PARTS),
             "REVERSE_AHEAD": condition.REVERSE_AHEAD, "LINE_TOO_SMALL": planner.LINE_FLAW + path.TOO_SMALL,

@@ -14,7 +14,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -25,6 +25,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
+from adaptrack.control.following import Following
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
@@ -32,12 +33,14 @@ from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.memory import CACHE_LINE_WORDS, Member, file_of, members_of
 from adaptrack.export.units import (
     CONSTANT_VALUE,
+    DEFAULT_TRAJECTORY_POINTS,
     ELEMENT,
     INPUT_VALUE,
     PARAMETER,
     REAL,
     TRUTH,
     WHOLE_VALUE,
+    TrajectoryPoints,
     Unit,
     UnitValue,
     car_unit,
@@ -67,6 +70,8 @@ def export_fmu(
     driver: Driver | SpeedControl | None = None,
     period: Positive | None = None,
     furthest: Annotated[Bound, "m"] = 10.0,
+    following: Following | None = None,
+    trajectory_points: TrajectoryPoints = DEFAULT_TRAJECTORY_POINTS,
 ) -> Path:
     """Write a car of the simulated world, or a controller with its tracker, as an FMU; its path.
 
@@ -75,7 +80,8 @@ def export_fmu(
     platforms: those that it has a binary for, of `fmu_build.PLATFORMS`, by default this one; profile,
     period: of a car, as for `simulate`; period: by default the profile's; driver: of a car, as for `simulate`: with a
     `SpeedControl` its inputs ``force`` and ``hold`` move it; of a controller: a `SpeedControl` that it runs;
-    furthest: of a controller, m, from the path, beyond which a status says so.
+    furthest: of a controller, m, from the path, beyond which a status says so; following: of a controller how it
+    follows a planner's trajectories, which are inputs then, of at most `trajectory_points` points; it needs no route.
 
     Raises
     ------
@@ -87,10 +93,13 @@ def export_fmu(
     if isinstance(part, Plant):
         unit = car_unit(part, route, profile=profile, driver=driver, period=period)
         return write_fmu(unit, path, version, platforms)
-    if not isinstance(route, RoadDrive):
+    if not (isinstance(route, RoadDrive) or (route is None and following is not None)):
         raise InvalidInput("export_fmu: route: a controller follows a road: give a RoadDrive.")
-    # a `Driver` is a part of a simulated car: `controller_unit` refuses it
-    unit = controller_unit(part, route.road, route.plan, furthest=furthest, speed=driver)  # type: ignore[arg-type]
+    road, plan = (None, None) if route is None else (route.road, route.plan)
+    speed: Any = driver  # a `Driver` is a part of a simulated car: `controller_unit` refuses it
+    unit = controller_unit(
+        part, road, plan, furthest=furthest, speed=speed, following=following, trajectory_points=trajectory_points
+    )
     return write_fmu(unit, path, version, platforms)
 
 
@@ -204,7 +213,9 @@ def description(unit: Unit, token: str, version: str) -> bytes:
     if second:
         _source_files(ET.SubElement(interface, "SourceFiles"), "File")
     _units(ET.SubElement(root, "UnitDefinitions"), unit)
-    ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", {"name": "logStatusError"})
+    categories = ET.SubElement(root, "LogCategories")
+    for category in ("logStatusError", *(("logStatusWarning",) if unit.follows else ())):
+        ET.SubElement(categories, "Category", {"name": category})
     ET.SubElement(root, "DefaultExperiment", {"startTime": "0.0", "stopTime": "10.0", "stepSize": repr(unit.period)})
     variables = ET.SubElement(root, "ModelVariables")
     described = [i for i, value in enumerate(unit.values) if second or not value.kind & ELEMENT]
@@ -291,6 +302,8 @@ def _variable(variables: ET.Element, reference: int, value: UnitValue, version: 
         name, is_array, _ = value.name.partition("[")
         variable = ET.SubElement(variables, kind, common | attributes | {"name": name})
         if is_array:
+            if "start" in attributes:
+                variable.set("start", " ".join([attributes["start"]] * length))
             ET.SubElement(variable, "Dimension", {"start": str(length)})
 
 

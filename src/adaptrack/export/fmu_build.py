@@ -25,6 +25,8 @@ from adaptrack.base.files import write_atomically
 from adaptrack.core.build.compile import DLL_FILE, compiler
 from adaptrack.core.build.run_time import cache_path
 from adaptrack.core.build.units import PLANTS, TRACKERS, UNIT_KERNELS
+from adaptrack.core.kernel import fields_of
+from adaptrack.core.units.follower import BAD_FALLBACK, FLAW
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 from adaptrack.export.memory import kernels_number
 
@@ -92,7 +94,7 @@ def unit_number(name: str) -> int:
 
 
 def _units_table() -> str:
-    """The kernels of the units as a table, and the hash by which constants know them."""
+    """The kernels of the units as a table, the hash by which constants know them, and flaws of trajectories."""
     declared = "".join(f"extern void adaptrack_{member}(void);\n" for member in UNIT_MEMBERS)
     declared += "".join(
         f"extern int64_t adaptrack_{kernel}(void *);\n" for pair in UNIT_KERNELS.values() for kernel in pair
@@ -102,11 +104,13 @@ def _units_table() -> str:
         f"    {{{unit_number(name):#x}u, adaptrack_{begin}, adaptrack_{step}}}, /* {name} */\n"
         for name, (begin, step) in UNIT_KERNELS.items()
     )
+    flaws = ", ".join(f'"{field.meaning}"' for field in fields_of(FLAW))
     return (
         f'/* Written by adaptrack.export.fmu_build. */\n#include "fmu.h"\n\n{declared}\n'
         f"const uint64_t FMU_KERNELS = {kernels_number():#x}u;\n"
         f"const fmu_member FMU_MEMBERS[] = {{\n{members}}};\nconst size_t FMU_MEMBER_COUNT = {len(UNIT_MEMBERS)};\n"
         f"const fmu_unit FMU_UNITS[] = {{\n{units}}};\nconst size_t FMU_COUNT = {len(UNIT_KERNELS)};\n"
+        f"const int64_t FMU_BAD_FALLBACK = {BAD_FALLBACK};\nconst char *const FMU_FLAWS[] = {{\n    {flaws}}};\n"
     )
 
 

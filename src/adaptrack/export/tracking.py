@@ -22,7 +22,9 @@ from adaptrack.core.input_check.record import Settings as CheckSettings
 from adaptrack.core.kernel import direct
 from adaptrack.core.models import path
 from adaptrack.core.models.car import SingleTrackCar
+from adaptrack.core.speed.path import speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST, SpeedPath
+from adaptrack.core.tracker import planner
 from adaptrack.core.tracker.longitudinal import write_requests
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.export.memory import ArrayRoles, CMemory, kernel_names
@@ -80,6 +82,13 @@ def speed_part(control: SpeedControl, controller: Controller, plan: SpeedPlan, t
     """The speed control behind a tracker with a controller, for plans up to that of `plan` or a top speed (m/s)."""
     fastest = max(float(plan.speed.max()), top_speed)
     return SpeedPart(control, SpeedStart(plan.comfort, fastest, patience_of(controller)))
+
+
+def trajectory_words(points: int, has_speed: bool) -> tuple[int, int]:
+    """Words for a trajectory of at most so many points, and for its plan with a speed control."""
+    words = planner.trajectory_words(points, planner.KEPT_POINTS, planner.TRAJECTORY_LENGTH)
+    longest = planner.TRAJECTORY_LENGTH + planner.LENGTH_ROOM
+    return words, speed_path_words(longest, 0, points + 2) if has_speed else 0
 
 
 def refuse(controller: Any) -> None:
@@ -155,7 +164,7 @@ def tracking_memory(
 
 
 def small_record_of(
-    controller: Any, road: Road, plan: SpeedPlan | None = None, furthest: float = 10.0,
+    controller: Any, road: Any, plan: SpeedPlan | None = None, furthest: float = 10.0,
     room: tuple[int, int] | None = None, longitudinal: Any = None, planned: Any = None,
 ) -> Any:  # fmt: skip
     """A tracker with a controller at its start, with what that has learned so far; see `tracking_of`.

@@ -10,20 +10,30 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Bound, NotNegative, Positive, checked
+from adaptrack.base.checked import Bound, NotNegative, Positive, Whole, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import python_part
-from adaptrack.control.speed_control import SpeedControl, longitudinal_of, speed_path
+from adaptrack.control.following import Following, PlannerFollower
+from adaptrack.control.speed_control import (
+    SpeedControl,
+    SpeedStart,
+    horizon_cells,
+    longitudinal_of,
+    patience_of,
+    speed_path,
+)
 from adaptrack.core.kernel import Field
+from adaptrack.core.planned.records import PLANNED_MEMORY, POINT
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.core.simulation.run import RunInputs
 from adaptrack.core.simulation.world import SIGNAL
-from adaptrack.core.units import car, controller
+from adaptrack.core.tracker import planner
+from adaptrack.core.units import car, controller, follower
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
-from adaptrack.export.tracking import ROLES, refuse, room_of, small_record_of, speed_part
+from adaptrack.export.tracking import ROLES, refuse, room_of, small_record_of, trajectory_words
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -36,6 +46,9 @@ ENDLESS = 2**62
 """Control periods of a drive without an end."""
 MAX_FREE_SPEED = 70.0
 """m/s, to which a car is integrated where no drive says how fast it goes."""
+TrajectoryPoints = Annotated[Whole, within(2, 1000)]
+"""Points that a trajectory has at most: the length of the arrays of its inputs."""
+DEFAULT_TRAJECTORY_POINTS = 100
 
 
 @dataclass(frozen=True)
@@ -74,6 +87,11 @@ class Unit:
     """beginning with the constants"""
     constants: tuple[str, ...]
     """dotted names of arrays, or of records of them, that do not change"""
+
+    @property
+    def follows(self) -> bool:
+        """Whether trajectories are inputs."""
+        return isinstance(self.record, follower.FollowerUnit)
 
     @property
     def period(self) -> float:
@@ -164,34 +182,43 @@ def car_unit(
 @checked
 def controller_unit(
     built_controller: Controller,
-    path: Road,
+    path: Road | None = None,
     plan: SpeedPlan | None = None,
     *,
     furthest: Annotated[Bound, "m"] = 10.0,
     speed_preview: Annotated[NotNegative, "s"] | None = None,
     speed: SpeedControl | None = None,
+    following: Following | None = None,
+    trajectory_points: TrajectoryPoints = DEFAULT_TRAJECTORY_POINTS,
 ) -> Unit:
     """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
 
     plan, furthest: as of `Tracker`; speed_preview: how far ahead the driven car needs its planned speed, by default a
     period; speed: the speed control behind the tracker, for which the plan counts; the grade is that of the path, under
-    the car the input ``grade`` where it is known. What the controller has learned so far travels along; it stays as it
-    is.
+    the car the input ``grade`` where it is known; following: how trajectories are followed, which are inputs then, of
+    at most `trajectory_points` points. Without a path the car stands until the first one. The comfort of a speed
+    control is that of `following`. What the controller has learned so far travels along; it stays as it is.
 
     Raises
     ------
     InvalidInput
-        When the controller, or a part of it, is not compiled ahead of time, or a speed control has no plan.
+        When the controller, or a part of it, is not compiled ahead of time, or a speed control has no plan, or there is
+        neither a path nor `following`.
     """
     refuse(built_controller)
-    if speed is not None and plan is None:
+    if path is None and following is None:
+        raise InvalidInput("controller_unit: path: give a Road, or following=Following() for a planner's trajectories.")
+    if speed is not None and plan is None and path is not None:
         raise InvalidInput("controller_unit: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
-    longitudinal, title = None, f"controller {built_controller.name} on {path.name}"
-    if speed is not None and plan is not None:
-        start, way = speed_part(speed, built_controller, plan).start, speed_path(path, plan, speed.stop_at_end)
-        longitudinal = longitudinal_of(speed, built_controller.period, start, way, built_controller)
+    planner_part = None if following is None else PlannerFollower(following, built_controller)
+    cells, longitudinal, title = 0, None, f"controller {built_controller.name}"
+    if path is not None:
+        title = f"{title} on {path.name}"
+    if speed is not None:
+        longitudinal, cells = _speed_control(speed, built_controller, path, plan, planner_part)
         title = f"{title}, with speed control"
-    tracking = small_record_of(built_controller, path, plan, furthest, longitudinal=longitudinal)
+    planned = None if planner_part is None else planner_part.planned
+    tracking = small_record_of(built_controller, path, plan, furthest, longitudinal=longitudinal, planned=planned)
     first = 0.0 if plan is None else float(plan.speed[0])
     ahead = built_controller.period if speed_preview is None else speed_preview
     expected = getattr(built_controller.model, "dead_time", 0.0)
@@ -208,9 +235,48 @@ def controller_unit(
            + (controller.PREDICTION_OUTPUTS if horizon else ()),
     }  # fmt: skip
     values = unit_values(groups, starts, predicted_x=horizon, predicted_y=horizon)
-    record = controller.SteeringUnit(*_columns(values), tracking=tracking, points=np.zeros(2 * horizon))
-    constants = (f"tracking.{name}" for name in (*ROLES.fixed, *ROLES.outside))
-    return Unit("controller", title, record, values, (*UNIT_CONSTANTS, *constants))
+    constants = (*UNIT_CONSTANTS, *(f"tracking.{name}" for name in (*ROLES.fixed, *ROLES.outside)))
+    if following is None:
+        record = controller.SteeringUnit(*_columns(values), tracking=tracking, points=np.zeros(2 * horizon))
+        return Unit("controller", title, record, values, constants)
+    words, plan_words = trajectory_words(trajectory_points, speed is not None)
+    all_values = values + _follower_values(trajectory_points, speed is not None)
+    record = follower.FollowerUnit(
+        *_columns(all_values), tracking=tracking, points=np.zeros(2 * horizon), first=len(values),
+        followed=follower.FOLLOWED.new(1, half=-1, horizon=cells), buffers=np.zeros((2, words)),
+        parts=np.zeros((2, len(planner.PARTS)), np.int64), plans=np.zeros((2, plan_words)), road=np.zeros(1, np.int64),
+        arrived=np.zeros((trajectory_points, len(POINT))), fallback=np.zeros((trajectory_points, len(POINT))),
+        memory_before=PLANNED_MEMORY.new(1), far_before=np.zeros_like(tracking.tracker.planned.far),
+    )  # fmt: skip
+    return Unit("controller", f"{title}, follows trajectories", record, all_values, (*constants, "road"))
+
+
+def _speed_control(
+    control: SpeedControl, built_controller: Controller, path: Any, plan: Any, planner_part: PlannerFollower | None
+) -> tuple[Any, int]:
+    """A speed control at its start, and how many cells it looks ahead there.
+
+    planner_part: with one it has room for plans up to the highest speed of the car's domain.
+    """
+    comfort, top_speed = None, 0.0
+    if planner_part is not None:
+        comfort, top_speed = planner_part.following.comfort, control.car.domain.speed[1]
+        path, plan = planner_part.standing_plan() if path is None else (path, plan)
+    fastest = float(plan.speed.max())
+    start = SpeedStart(comfort or plan.comfort, max(fastest, top_speed), patience_of(built_controller))
+    way = speed_path(path, plan, control.stop_at_end)
+    longitudinal = longitudinal_of(control, built_controller.period, start, way, built_controller)
+    return longitudinal, horizon_cells(fastest, longitudinal.settings)
+
+
+def _follower_values(points: int, has_speed: bool) -> tuple[UnitValue, ...]:
+    """The values of a unit for trajectories of at most so many points."""
+    counted = (field._replace(bounds=f"[0, {points}]") if field.name.endswith("count") else field
+               for field in follower.FOLLOWER_INPUTS)  # fmt: skip
+    arrays = follower.FOLLOWER_ARRAYS
+    inputs = unit_values({INPUT_VALUE: (*counted, *arrays)}, {}, **{field.name: points for field in arrays})
+    outputs = (*(() if has_speed else (follower.TARGET_OUTPUT,)), *follower.FOLLOWER_OUTPUTS)
+    return inputs + unit_values({0: outputs}, {})
 
 
 UNIT_CONSTANTS = ("kinds", "least", "most")

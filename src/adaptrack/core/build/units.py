@@ -3,6 +3,7 @@
 UNIT_KERNELS = {
     "CarUnit": ("car_begin", "car_step"),
     "SteeringUnit": ("steering_begin", "steering_step"),
+    "FollowerUnit": ("follower_begin", "follower_step"),
 }
 """Of each unit of co-simulation (`core.units`) the kernels that begin and step, by the name of its record."""
 CONTROLLERS = (

@@ -58,6 +58,9 @@ HARDEST_STOP = 8.0
 """m/s^2, largest deceleration of the car up to the end of a fallback."""
 MIN_RETURNED = 3
 """Trajectories in a row that must fit the car before a planner that was silent drives again."""
+KEPT_POINTS, TRAJECTORY_LENGTH = 256, 1000.0
+"""-, m: points of the followed line that a program with fixed memory keeps, and the length of a trajectory for which it
+has room."""
 
 Arrival = record("Arrival", (("stamp", float64), ("time", float64), ("role", int64), ("is_urgent", int64)))
 """Arrival of a trajectory: stamp (s, on the planner's clock), time (s, on the tracker's), `PLANNER` or `FALLBACK`."""

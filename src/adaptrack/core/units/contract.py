@@ -13,9 +13,9 @@ from ..kernel import OK, columns, inlined
 HEAD = columns("time", "period")
 """Every unit's values begin with these (s, s): time since its first instant, and how much a step adds to it."""
 
-UNIT_FAILED, NO_DELAY = range(1, 3)
-"""Status: done; the state is not finite; there is no period of delay that a parallel exchange could stand for. Below 0:
-a value that is not finite or out of its range, -1 - its place."""
+UNIT_FAILED, NO_DELAY, REFUSED = range(1, 4)
+"""Status: done; the state is not finite; there is no period of delay that a parallel exchange could stand for; done,
+but a trajectory is impossible. Below 0: a value that is not finite or out of its range, -1 - its place."""
 
 
 @inlined

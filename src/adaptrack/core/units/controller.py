@@ -129,12 +129,12 @@ def _write_outputs(tracker, values):
 
 
 @inlined
-def _write_prediction(unit):
-    """Write the predicted path behind all other outputs."""
-    values, points, horizon = unit.values, unit.points, unit.points.size // 2
+def _write_prediction(values, points, tracking):
+    """Write the predicted path to the end of the values."""
+    horizon = points.size // 2
     if horizon == 0:
         return
-    count, delay = tracker_predict(unit.tracking, points)
+    count, delay = tracker_predict(tracking, points)
     outputs = values[values.size - 2 * horizon - 2 :]
     outputs[0], outputs[1] = count, delay
     for i in range(horizon):
@@ -143,30 +143,41 @@ def _write_prediction(unit):
         outputs[2 + horizon + i] = y if i < count else math.nan
 
 
-@exported(int64(Place(SteeringUnit)))
-def steering_begin(unit):
-    """Read the parameters and engage; the status."""
-    values, tracker = unit.values, unit.tracking.tracker
-    invalid = outside(_PARAMETER, _INPUT, values, unit.least, unit.most)
+@inlined
+def engage(values, least, most, points, tracking):
+    """Read the parameters and engage; the status. points: as in `SteeringUnit`."""
+    tracker = tracking.tracker
+    invalid = outside(_PARAMETER, _INPUT, values, least, most)
     if invalid != OK:
         return invalid
     tracker_engage(values[STEERING_VALUE.start_wheel_angle], math.nan, tracker)
     values[STEERING_VALUE.time] = 0.0
     _write_outputs(tracker, values)
-    _write_prediction(unit)
+    _write_prediction(values, points, tracking)
     return OK
 
 
-@exported(int64(Place(SteeringUnit)))
-def steering_step(unit):
-    """Call the tracker with the inputs, write its outputs, and go on by a period; the status."""
-    tracking, values = unit.tracking, unit.values
+@inlined
+def make_step(values, points, tracking):
+    """Call the tracker with the inputs, write its outputs, and go on by a period. points: as in `SteeringUnit`."""
     _write_sample(values, tracking.tracker.sample)
     tracker_step(tracking)
     if tracking.control_speed != 0:
         write_requests(tracking.longitudinal, values, SPEED_VALUE.acceleration)
     _write_outputs(tracking.tracker, values)
-    _write_prediction(unit)
+    _write_prediction(values, points, tracking)
     period = values[STEERING_VALUE.period]
     values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
+
+
+@exported(int64(Place(SteeringUnit)))
+def steering_begin(unit):
+    """Read the parameters and engage; the status."""
+    return engage(unit.values, unit.least, unit.most, unit.points, unit.tracking)
+
+
+@exported(int64(Place(SteeringUnit)))
+def steering_step(unit):
+    """Call the tracker with the inputs, write its outputs, and go on by a period; the status."""
+    make_step(unit.values, unit.points, unit.tracking)
     return OK

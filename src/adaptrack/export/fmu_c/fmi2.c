@@ -56,9 +56,9 @@ static int fits(fmi2Component me, const void *references, size_t count, const vo
     return 0;
 }
 
-static void say(const fmu *f, fmu_status status, const char *text) {
+static void say(const fmu *f, fmu_status status, const char *category, const char *text) {
     if (f->logger)
-        ((fmi2CallbackLogger)f->logger)(f->environment, f->name, (fmi2Status)status, "logStatusError", "%s", text);
+        ((fmi2CallbackLogger)f->logger)(f->environment, f->name, (fmi2Status)status, category, "%s", text);
 }
 
 /* -- the folder of the resources ---------------------------------------------------------------------------------- */
@@ -95,7 +95,7 @@ FMU_PUBLIC const char *fmi2GetTypesPlatform(void) { return "default"; }
 FMU_PUBLIC const char *fmi2GetVersion(void) { return "2.0"; }
 
 PUBLIC(fmi2SetDebugLogging)(ME, fmi2Boolean on, size_t count, const fmi2String categories[]) {
-    return me ? fmi2OK : fmi2Error; /* errors alone are said, always */
+    return me ? fmi2OK : fmi2Error; /* errors and warnings are said, always */
 }
 
 FMU_PUBLIC fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, fmi2String resources,

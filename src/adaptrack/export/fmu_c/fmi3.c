@@ -58,7 +58,9 @@ typedef void (*fmi3UnlockPreemptionCallback)(void);
     PUBLIC(fmi3Set##type)(ME, REFERENCES, const fmi3##type values[], size_t many) { \
         if (!fits(instance, references, count, values, many)) return fmi3Error; \
         for (size_t i = 0; i < count; i++) \
-            if (fmu_set(instance, references[i], kind, (double)values[i]) != FMU_OK) return fmi3Error; \
+            for (size_t j = 0; j < fmu_length(instance, references[i]); j++) \
+                if (fmu_set(instance, references[i] + (uint32_t)j, kind, (double)*values++) != FMU_OK) \
+                    return fmi3Error; \
         return fmi3OK; \
     }
 
@@ -77,16 +79,15 @@ static int fits(fmi3Instance instance, REFERENCES, const void *values, size_t ma
     return 0;
 }
 
-static void say(const fmu *f, fmu_status status, const char *text) {
-    if (f->logger)
-        ((fmi3LogMessageCallback)f->logger)(f->environment, (fmi3Status)status, "logStatusError", text);
+static void say(const fmu *f, fmu_status status, const char *category, const char *text) {
+    if (f->logger) ((fmi3LogMessageCallback)f->logger)(f->environment, (fmi3Status)status, category, text);
 }
 
 /* -- an instance -------------------------------------------------------------------------------------------------- */
 FMU_PUBLIC const char *fmi3GetVersion(void) { return "3.0"; }
 
 PUBLIC(fmi3SetDebugLogging)(ME, fmi3Boolean on, size_t count, const fmi3String categories[]) {
-    return instance ? fmi3OK : fmi3Error; /* errors alone are said, always */
+    return instance ? fmi3OK : fmi3Error; /* errors and warnings are said, always */
 }
 
 FMU_PUBLIC fmi3Instance fmi3InstantiateCoSimulation(
@@ -155,7 +156,7 @@ PUBLIC(fmi3DoStep)(ME, fmi3Float64 time, fmi3Float64 size, fmi3Boolean settled, 
     if (!instance || !event || !terminate || !early || !last) return fmi3Error;
     status = fmu_step(instance, time, size);
     *event = false, *terminate = false, *early = false;
-    *last = status == FMU_OK ? time + size : time;
+    *last = status <= FMU_WARNING ? time + size : time;
     return (fmi3Status)status;
 }
 

@@ -12,7 +12,7 @@
 #endif
 
 enum { TIME = 0, PERIOD = 1 };
-enum { FAILED = 1, NO_DELAY = 2 }; /* adaptrack.core.units.contract */
+enum { FAILED = 1, NO_DELAY = 2, REFUSED = 3 }; /* adaptrack.core.units.contract */
 static const double CLOSE = 1e-6;  /* share of a period by which times of the master may be off, */
 static const double ROUNDING = 4.0 * DBL_EPSILON; /* and share of a time by which rounding moves it */
 enum { LINE = 64, LONGEST = 100000000 };
@@ -23,14 +23,14 @@ static const char *const SAYS[] = {
     "the state was saved under other constants", "the state was saved on another path",
     "the processor does not round to nearest or takes subnormal numbers for zero, or the compiler reordered operations"};
 
-fmu_status fmu_refuse(const fmu *f, const char *format, ...) {
+fmu_status fmu_say(const fmu *f, fmu_status status, const char *format, ...) {
     char text[320];
     va_list values;
     va_start(values, format);
     vsnprintf(text, sizeof text, format, values);
     va_end(values);
-    if (f && f->say) f->say(f, FMU_ERROR, text);
-    return FMU_ERROR;
+    if (f && f->say) f->say(f, status, status == FMU_WARNING ? "logStatusWarning" : "logStatusError", text);
+    return status;
 }
 
 /* Time of the present instant, s. */
@@ -188,10 +188,19 @@ void fmu_free(fmu *f) {
 fmu_status fmu_reset(fmu *f) { return lay(f); }
 
 /* -- a run -------------------------------------------------------------------------------------------------------- */
+/* The last step has refused a trajectory. The last values are the verdict, what is impossible, and its point. */
+static fmu_status warn_of_trajectory(const fmu *f) {
+    const double *last = f->values + f->count - 3;
+    return fmu_say(f, FMU_WARNING, "at t = %.15g s the %s is refused, and the car goes on as before: point %d: %s",
+                   now(f) - f->values[PERIOD], (int64_t)last[0] == FMU_BAD_FALLBACK ? "fallback" : "trajectory",
+                   (int)last[2], FMU_FLAWS[(size_t)last[1]]);
+}
+
 /* What a kernel of the unit answered. */
 static fmu_status judged(fmu *f, int64_t status) {
     if (status == 0) return FMU_OK;
     if (status < 0) return refuse_range(f, (size_t)(-1 - status));
+    if (status == REFUSED) return warn_of_trajectory(f);
     if (status == NO_DELAY)
         return fmu_refuse(f, "parallel_exchange: there is no whole period of delay that the exchange could stand for");
     f->mode = FMU_FAILED;
@@ -246,6 +255,7 @@ static int same(double a, double b, double time, double period) {
 fmu_status fmu_step(fmu *f, double time, double size) {
     double period = f->values[PERIOD], periods = size / period;
     long count = periods > 0.5 && periods < 1e6 ? (long)(periods + 0.5) : 0;
+    fmu_status worst = FMU_OK;
     if (f->mode != FMU_STEPPING)
         return fmu_refuse(f, "a step at t = %.15g s, before initialization or after the end", time);
     if (!same(time, f->end, time, period))
@@ -258,10 +268,11 @@ fmu_status fmu_step(fmu *f, double time, double size) {
                           time, size, period);
     for (; count > 0; count--) {
         fmu_status status = run(f, f->unit->step);
-        if (status != FMU_OK) return status;
+        if (status > FMU_WARNING) return status;
+        if (status > worst) worst = status;
     }
     f->end = time + size;
-    return FMU_OK;
+    return worst;
 }
 
 fmu_status fmu_set(fmu *f, uint32_t reference, int type, double value) {

@@ -11,7 +11,7 @@
 #endif
 
 /* The numbers are those of fmi2Status and fmi3Status. */
-typedef enum { FMU_OK = 0, FMU_ERROR = 3, FMU_FATAL = 4 } fmu_status;
+typedef enum { FMU_OK = 0, FMU_WARNING = 1, FMU_ERROR = 3, FMU_FATAL = 4 } fmu_status;
 typedef enum { FMU_MADE, FMU_SETTING, FMU_STEPPING, FMU_OVER, FMU_FAILED } fmu_mode;
 /* What a value is: its type, whether it may be set, and whether it belongs to the array of the value before; as in
    adaptrack.export.units. */
@@ -30,6 +30,9 @@ extern const fmu_member FMU_MEMBERS[];
 extern const size_t FMU_MEMBER_COUNT;
 extern const fmu_unit FMU_UNITS[];
 extern const size_t FMU_COUNT;
+/* what is impossible in a trajectory, in the words of adaptrack.core.units.follower; the verdict on a fallback */
+extern const char *const FMU_FLAWS[];
+extern const int64_t FMU_BAD_FALLBACK;
 
 typedef struct fmu fmu;
 struct fmu {
@@ -45,7 +48,7 @@ struct fmu {
     fmu_mode mode;
     int stale; /* values were set since the outputs of the first instant were computed */
     /* the logger of the master, which each version calls in its way */
-    void (*say)(const fmu *, fmu_status, const char *);
+    void (*say)(const fmu *, fmu_status, const char *category, const char *text);
     void (*logger)(void);
     void *environment;
     char name[128];
@@ -59,7 +62,7 @@ fmu_status fmu_reset(fmu *);
 fmu_status fmu_initialise(fmu *, double start);
 fmu_status fmu_initialised(fmu *);
 fmu_status fmu_terminate(fmu *);
-/* Go on by a whole number of periods. */
+/* Go on by a whole number of periods; FMU_WARNING, and a sentence to the logger, if a trajectory was refused. */
 fmu_status fmu_step(fmu *, double time, double size);
 fmu_status fmu_set(fmu *, uint32_t reference, int type, double value);
 fmu_status fmu_get(fmu *, uint32_t reference, int type, double *value);
@@ -72,6 +75,7 @@ fmu_status fmu_free_state(void **state);
 fmu_status fmu_serialised_size(const fmu *, size_t *size);
 fmu_status fmu_serialise(const fmu *, const void *state, void *bytes, size_t size);
 fmu_status fmu_deserialise(const fmu *, const void *bytes, size_t size, void **state);
-/* FMU_ERROR, and a sentence to the logger, formatted as by printf. */
-fmu_status fmu_refuse(const fmu *, const char *format, ...);
+/* The status, and a sentence to the logger, formatted as by printf. */
+fmu_status fmu_say(const fmu *, fmu_status status, const char *format, ...);
+#define fmu_refuse(f, ...) fmu_say(f, FMU_ERROR, __VA_ARGS__)
 #endif
