@@ -142,15 +142,16 @@ class Tracker:
         takes late samples in (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One
         without a filter is given the v_y of a steady turn where none is measured.
     path : Road, optional
-        From points, OpenDRIVE or segments. On one that crosses itself the car begins on the branch in its direction.
-        Without one the car stands until `follow` brings a path or a trajectory.
+        From points, OpenDRIVE or segments, of the tracked point of `following`. On one that crosses itself the car
+        begins on the branch in its direction. Without one the car stands until `follow` brings a path or a trajectory.
     plan : SpeedPlan, optional
         The speed that is planned along it; without one the present speed is expected to stay.
     speed : SpeedControl, optional
         Controls the speed along the plan: `Tracked.longitudinal` then requests acceleration and force. The status
         decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
     following : Following, optional
-        Settings for following: the point of the car that paths are for, and how trajectories of a planner are followed.
+        Settings for following: the point of the car that paths are for, by default the centre of mass, and how the
+        trajectories of a planner are followed.
     sample_point : str
         Point of the car whose x and y samples have: "centre of mass", "rear axle" or "front axle".
     furthest : float
@@ -216,7 +217,7 @@ class Tracker:
         self.engage()
 
     path: Any = None
-    """`Road` that is followed; None: none yet"""
+    """`Road` that the centre of mass follows, the base of all stations and offsets; None: none yet"""
     plan: Any = None
     """`SpeedPlan` along it, of a trajectory a `FollowedPlan`; None: none"""
 

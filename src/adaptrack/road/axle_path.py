@@ -108,7 +108,8 @@ def _slip(turn: Array, speed: Array, car: Vehicle, closed: bool) -> Array:
     slip = car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase) * speed * speed * turn
     side = SLIP_PLACES // 2
     before, after = (slip[-1 - side : -1], slip[1 : 1 + side]) if closed else (slip[[0] * side], slip[[-1] * side])
-    return np.lib.stride_tricks.sliding_window_view(np.concatenate([before, slip, after]), SLIP_PLACES).mean(axis=-1)
+    sums = np.concatenate([[0.0], before, slip, after]).cumsum()
+    return (sums[SLIP_PLACES:] - sums[:-SLIP_PLACES]) / SLIP_PLACES
 
 
 def _move_along(line: Road, x: Array, y: Array, near: Array, stations: Array) -> dict[str, Along]:
