@@ -152,3 +152,11 @@ def test_a_bend_tighter_than_the_wheelbase_is_refused(axle):
     road = Road.from_segments([Line(length=10.0), Arc(length=3.0, curvature=-0.5)])
     with pytest.raises(InvalidInput, match=rf"path of the {axle}: its radius at s = 1.* below the wheelbase of 2.8 m"):
         convert_axle_path(road, None, CAR, axle)
+
+
+def test_a_plan_of_another_road_and_an_unknown_axle_are_refused():
+    road, other = (Road.from_segments([Line(length=length)]) for length in (40.0, 50.0))
+    with pytest.raises(InvalidInput, match="plan: must be a SpeedPlan of this road"):
+        convert_axle_path(road, at.plan_speed(other, CAR), CAR, "rear axle")
+    with pytest.raises(InvalidInput, match="rear axle"):
+        convert_axle_path(road, None, CAR, "rear")

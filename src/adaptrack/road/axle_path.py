@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
@@ -32,6 +33,7 @@ MAX_ROUNDING = 0.02
 """m, from the rear axle's path to one without jumps of curvature, at which the centre of mass would turn at once."""
 
 
+@checked
 def convert_axle_path(road: Road, plan: SpeedPlan | None, car: Vehicle, axle: Axle) -> tuple[Road, SpeedPlan | None]:
     """Path of the centre of mass of a car whose axle follows a road, and the plan along it.
 
@@ -43,8 +45,12 @@ def convert_axle_path(road: Road, plan: SpeedPlan | None, car: Vehicle, axle: Ax
     Raises
     ------
     InvalidInput
-        When a radius of the road is below the wheelbase.
+        When a radius of the road is below the wheelbase, or the plan is not of this road.
     """
+    if plan is not None and abs(plan.s[-1] - road.length) > 1e-6:
+        raise InvalidInput(
+            "convert_axle_path: plan: must be a SpeedPlan of this road; plan_speed(road, ...) makes one."
+        )
     is_rear = axle == "rear axle"
     line = smooth_road(road, MAX_ROUNDING) if is_rear and road.curvature_jumps() else road
     s = np.linspace(0.0, road.length, max(8, math.ceil(road.length / AXLE_PATH_SPACING)) + 1)
@@ -113,7 +119,10 @@ def _slip(turn: Array, speed: Array, car: Vehicle, closed: bool) -> Array:
 
 
 def _move_along(line: Road, x: Array, y: Array, near: Array, stations: Array) -> dict[str, Along]:
-    """What lies along a line, as seen from points x, y (m) that are at arc lengths (m) of a new line."""
+    """Widths, speed limit, friction, bank and grade of a line at the feet of points x, y (m) of a new line.
+
+    near, stations: arc lengths (m) of the feet, about, and of the points.
+    """
     foot = line.project(x, y, near=near)
     offsets = {"width_left": -foot.offset, "width_right": foot.offset}
     values = {name: getattr(line, name) for name in ALONG_QUANTITIES}
