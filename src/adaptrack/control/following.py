@@ -21,7 +21,8 @@ from adaptrack.core.planned.meant_line import FAR_PLACES
 from adaptrack.core.planned.records import NODE
 from adaptrack.core.roads.path import line_in
 from adaptrack.core.tracker import planner as kernel
-from adaptrack.road import Comfort, Line, Road, Stop
+from adaptrack.road import Comfort, Line, Road, SpeedPlan, Stop, convert_axle_path
+from adaptrack.road.axle_path import Axle
 from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.road.table import Pieces
@@ -72,7 +73,7 @@ WHO_DRIVES = (
 """Rows of docs/planner.md and of the C header: the event, the fallback then, who drives, and how that ends."""
 
 
-CarPoint = Literal["centre of mass", "rear axle", "front axle"]
+CarPoint = Literal["centre of mass"] | Axle
 """Point of the car to which positions refer."""
 
 
@@ -89,10 +90,10 @@ def arm_of(name: str, point: str, car: Vehicle | None) -> float:
 
 
 class Following(RecordSettings, record=records.PLANNED_SETTINGS):
-    """Settings for following the trajectories of a planner.
+    """Settings for following paths and the trajectories of a planner.
 
-    `tracked_point` is the point of the car that the planner plans. `comfort` limits the accelerations that reduce
-    lateness, and those of stops without a fallback.
+    `tracked_point` is the point of the car that follows them. All other settings are for trajectories: `comfort` limits
+    the accelerations that reduce lateness, and those of stops without a fallback.
     """
 
     tracked_point: CarPoint = "centre of mass"
@@ -123,7 +124,8 @@ class PlannerFollower:
     """Converter of trajectories for a tracker, with the newest trajectory and the fallback."""
 
     def __init__(self, following: Following, controller: Controller) -> None:
-        self.following, arm = following, arm_of("tracked_point", following.tracked_point, controller.vehicle)
+        self.following, self._car = following, controller.vehicle
+        arm = arm_of("tracked_point", following.tracked_point, controller.vehicle)
         settings = records.PLANNED_SETTINGS.new(1)
         settings[0] = following.row
         settings["tracked_arm"], settings["position_noise"] = arm, controller.position_noise
@@ -132,6 +134,11 @@ class PlannerFollower:
         self.planned = records.Planned(settings, memory, speeds, np.zeros((0, 3)), np.zeros(2 * FAR_PLACES))
         self.fallback: tuple[PlannedTrajectory, float] | None = None
         """fallback and its time of arrival (s)"""
+
+    def convert_path(self, path: Road, plan: SpeedPlan | None) -> tuple[Road, SpeedPlan | None]:
+        """The path and plan of the centre of mass where the tracked point follows a path and plan."""
+        point = self.following.tracked_point
+        return (path, plan) if point == "centre of mass" else convert_axle_path(path, plan, self._car, point)
 
     def standing_plan(self) -> tuple[Road, FollowedPlan]:
         """A path of a metre and its plan, for a speed control before the first trajectory."""

@@ -142,15 +142,16 @@ class Tracker:
         takes late samples in (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One
         without a filter is given the v_y of a steady turn where none is measured.
     path : Road, optional
-        From points, OpenDRIVE or segments. On one that crosses itself the car begins on the branch in its direction.
-        Without one the car stands until `follow` brings a path or a trajectory.
+        From points, OpenDRIVE or segments, of the tracked point of `following`. On one that crosses itself the car
+        begins on the branch in its direction. Without one the car stands until `follow` brings a path or a trajectory.
     plan : SpeedPlan, optional
         The speed that is planned along it; without one the present speed is expected to stay.
     speed : SpeedControl, optional
         Controls the speed along the plan: `Tracked.longitudinal` then requests acceleration and force. The status
         decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
     following : Following, optional
-        Settings for following the trajectories of a planner.
+        Settings for following: the point of the car that paths are for, by default the centre of mass, and how the
+        trajectories of a planner are followed.
     sample_point : str
         Point of the car whose x and y samples have: "centre of mass", "rear axle" or "front axle".
     furthest : float
@@ -194,11 +195,11 @@ class Tracker:
         self._speed: SpeedController | None = None
         if speed is not None and plan is None and path is not None:
             raise InvalidInput("Tracker: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
-        if path is not None or plan is not None:
-            self._set_path(path, plan)
         self._planner: PlannerFollower | None = None
         if following is not None or path is None:
             self._planner = PlannerFollower(following or Following(), controller)
+        if path is not None or plan is not None:
+            path, plan = self._set_path(path, plan)
         if speed is not None:
             way: Any = (path, plan) if self._planner is None or plan is not None else self._planner.standing_plan()
             self._speed = SpeedController(
@@ -216,16 +217,20 @@ class Tracker:
         self.engage()
 
     path: Any = None
-    """`Road` that is followed; None: none yet"""
+    """`Road` that the centre of mass follows, the base of all stations and offsets; None: none yet"""
     plan: Any = None
     """`SpeedPlan` along it, of a trajectory a `FollowedPlan`; None: none"""
 
-    def _set_path(self, path: Any, plan: SpeedPlan | None) -> None:
+    def _set_path(self, path: Any, plan: SpeedPlan | None) -> tuple[Road, SpeedPlan | None]:
+        """Check a path of the tracked point and its plan, and follow that of the centre of mass; return both."""
         if not isinstance(path, Road):
             raise InvalidInput(f"Tracker: path = {path!r}: must be a Road; fit_road(...) makes one.")
         if plan is not None and (not isinstance(plan, SpeedPlan) or abs(plan.s[-1] - path.length) > 1e-6):
             raise InvalidInput("Tracker: plan: must be a SpeedPlan of this path; plan_speed(path, ...) makes one.")
+        if self._planner is not None:
+            path, plan = self._planner.convert_path(path, plan)
         self.path, self.plan = path, plan
+        return path, plan
 
     def _load(self, kernel: Any) -> None:
         """Let the kernels work on this record, with the controller and the speed control as they are now."""
@@ -340,7 +345,7 @@ class Tracker:
             raise InvalidInput("Tracker.follow: fallback and now belong to a trajectory, and this is a path.")
         if self._speed is not None and plan is None:
             raise InvalidInput("Tracker.follow: the speed control follows a plan; give plan=plan_speed(path, car).")
-        self._set_path(path, plan)
+        path, plan = self._set_path(path, plan)
         if self._planner is not None:
             self._start_planner(self._planner.following)
         if plan is None or self._target is None:

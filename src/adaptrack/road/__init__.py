@@ -1,5 +1,6 @@
 """Roads: a centre line by arc length, what lies along it, and how fast a car can drive it."""
 
+from adaptrack.road.axle_path import convert_axle_path
 from adaptrack.road.check import Finding, check_road, smallest_radius
 from adaptrack.road.fit import fit_road, road_through, smooth_road
 from adaptrack.road.generate import ROAD_KINDS, generate_road
@@ -14,6 +15,6 @@ __all__ = [
     "ROAD_KINDS",
     "Along", "Arc", "Clothoid", "Comfort", "Cubic", "Finding", "Jump", "Line", "Points", "Pose", "Projection", "Road",
     "SpeedPlan", "Stop",
-    "check_road", "fit_road", "generate_road", "load_road", "plan_speed", "read_opendrive", "road_through",
-    "smallest_radius", "smooth_road",
+    "check_road", "convert_axle_path", "fit_road", "generate_road", "load_road", "plan_speed", "read_opendrive",
+    "road_through", "smallest_radius", "smooth_road",
 ]  # fmt: skip

@@ -51,8 +51,8 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
 /* Bytes of memory for a path through points x, y (m), one behind the other: points[0], points[1] are the first.
    0 for fewer than four points, or more than ADAPTRACK_MOST_POINTS (100,000). */
 size_t adaptrack_path_size(const double *points, size_t count, int closed);
-/* Make a path through points, in memory of the caller that is aligned to 8 bytes: a cubic spline, its curvature
-   continuous; a lap if `closed`. `noise`: standard deviation (m) of x and y, which is smoothed first; 0: the path goes
+/* Make a path of the centre of mass through points, in memory of the caller that is aligned to 8 bytes: a cubic spline,
+   its curvature continuous; a lap if `closed`. `noise`: standard deviation (m) of x and y, which is smoothed first; 0: the path goes
    through the points; NaN: estimated, 0 for points on a smooth curve and for fewer than 16. Points in a row count as one, the first, if their distance is at most a
    tenth of the step on either side and 0.2 m: such a step would turn the path by the error of its points.
    ADAPTRACK_TOO_SMALL for the memory. ADAPTRACK_BAD_PATH for fewer than four points, for more than
