@@ -15,7 +15,7 @@ from functools import cached_property, partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Finite, Hint, Positive, checked, real
 from adaptrack.base.errors import InvalidInput
@@ -25,11 +25,9 @@ from adaptrack.control.controllers import MPC
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel, laguerre_basis
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.models import contract
 from adaptrack.scenario.profile import Profile, load_profile
-
-Array = NDArray[np.float64]
 
 SENSED_STATES = ("vy", "psi", "yaw_rate", "Y")
 """States of the plant that sensors measure."""

@@ -21,7 +21,7 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
@@ -32,11 +32,11 @@ from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
-Array = NDArray[np.float64]
 Pass = tuple[int, float, "Gate"]
 CarWidth = Annotated[Positive, Field(le=4.0), "m"]
 Speed = Annotated[Positive, MAX_SPEED, "m/s"]

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio, regret_percentiles
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.failure import FailureLimits
-
-Array = NDArray[np.float64]
 
 WITH = " + "
 """Text between the names of a controller and its driver."""

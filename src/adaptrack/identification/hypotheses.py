@@ -27,17 +27,15 @@ from functools import cached_property, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.input_check.hypotheses import MISTAKE_NAMED
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.log import Log, log_of, shorten_log, unwrapped, window_mean
 from adaptrack.identification.reading import Columns
 
-Array = NDArray[np.float64]
 Measurements = Mapping[str, Any]
 """Measurements by name (NaN: unknown), and words for sentences."""
 

@@ -23,7 +23,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.identification import steering as kernel
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.identification.log import Log, segment_starts, window_mean
 from adaptrack.identification.quantities import (
     INDEX,
@@ -40,8 +40,6 @@ from adaptrack.identification.quantities import (
     values_of,
 )
 from adaptrack.road.smoothing import Smoother
-
-Array = NDArray[np.float64]
 
 MEASURED_OUTPUTS = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
 DIFFERENCE_STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5

@@ -21,8 +21,8 @@ from scipy.ndimage import rank_filter
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
 LOG_SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel")

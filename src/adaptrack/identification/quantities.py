@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from adaptrack.cars.vehicle import Vehicle, load_tyre
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
-
-Array = NDArray[np.float64]
 
 
 class Prior(NamedTuple):

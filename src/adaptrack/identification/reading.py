@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
 from adaptrack.identification.log import HOLE_PERIODS, LEAST_GAP, find_samples, hold_values, unwrapped
 from adaptrack.scenario.profile import list_profiles, load_profile
 
-Array = NDArray[np.float64]
 CellArray = NDArray[Any]
 """(n,) float64, whole numbers, datetime64[ns], or text where most cells are no numbers."""
 Source = str | os.PathLike[str] | Mapping[str, object]

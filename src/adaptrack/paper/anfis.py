@@ -31,9 +31,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
 from adaptrack.control.scheduling.functions import BELL_CENTRE, BELL_SLOPE, BELL_WIDTH, Sugeno, bell_exponent, distance
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.regressor import Regressor, Samples, mean
-
-Array = NDArray[np.float64]
 
 # -- partitions of the input space ------------------------------------------------------------------------------------
 RuleIndices = NDArray[np.intp]

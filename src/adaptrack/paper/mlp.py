@@ -15,7 +15,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
@@ -25,9 +25,8 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import Count, Positive
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import Network
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.regressor import Regressor, Samples, mean
-
-Array = NDArray[np.float64]
 
 MLP_SOLVERS = {"momentum": "sgd", "adam": "adam", "lbfgs": "lbfgs"}
 """Our names, and scikit-learn's."""

@@ -14,8 +14,8 @@ from sklearn.utils.validation import check_array, check_consistent_length, valid
 from adaptrack.base.checked import check_parameters
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
-Array = NDArray[np.float64]
 RowNumbers = NDArray[np.int64]
 
 

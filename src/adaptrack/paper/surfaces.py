@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from adaptrack.control.scheduling.functions import BELL_SLOPE, BELL_WIDTH, Function, Network, Sugeno
 from adaptrack.core.maths import portable
-
-Array = NDArray[np.float64]
+from adaptrack.core.maths.portable import Array
 
 HIDDEN_NEURONS = (16, 8)
 """As in the paper's networks."""

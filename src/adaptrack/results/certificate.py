@@ -15,13 +15,12 @@ from adaptrack.analysis.stability import Margins
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.results import marks
 from adaptrack.results.words import INPUT_LABELS, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 THIN_MODULUS = 0.25
 """Modulus margin below which an answer calls it thin; textbooks ask for at least 0.5."""

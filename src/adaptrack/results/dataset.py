@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet, describe
 from adaptrack.results import marks
@@ -20,8 +21,6 @@ from adaptrack.results.words import number, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 BINS = 12
 """Bins along an axis whose values are not levels."""

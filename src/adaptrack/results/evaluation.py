@@ -8,19 +8,18 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, best_entries, select_entries, strict
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.compare import ratios_picture
 from adaptrack.results.marks import ColourScale, speed_map
 from adaptrack.results.words import INPUT_LABELS, counted, data_text, number, plain, span, title_of
 
-Array = NDArray[np.float64]
 Views = Mapping[str, Mapping[str, Comparison]]
 """Comparisons on "operating points" and "drives" by the knowledge of friction and wind ("exact", "noisy", ...), and on
 "tests" by the test."""

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import Panel, Picture
@@ -29,8 +28,6 @@ from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, on_ro
 from adaptrack.results.run_pictures import tracking_picture
 from adaptrack.results.style import panel_figure, print_figure
 from adaptrack.road import Road
-
-Array = NDArray[np.float64]
 
 
 @singledispatch

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
@@ -23,6 +22,7 @@ from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.failure import Failed, find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
@@ -34,8 +34,6 @@ from adaptrack.road.road_ahead import foot_near
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
