@@ -337,12 +337,7 @@ class Mismatch:
     ) -> Sampled:
         """Return the result of `sampled` for the true car in straight driving.
 
-        `plant` and `profile` are those of the controller's model.
-
-        Raises
-        ------
-        InvalidInput
-            As for `true_car`.
+        `plant` and `profile` are those of the controller's model. Errors as `true_car`.
         """
         world = load_profile(profile)
         believed = _steering(plant, world)

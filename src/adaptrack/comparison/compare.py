@@ -120,13 +120,7 @@ def compare(
 
 
 def check_fits(contender: Contender, runs: RunSet) -> None:
-    """Refuse a contender that cannot drive in the profile of the runs, or that has a tuning for each run.
-
-    Raises
-    ------
-    InvalidInput
-        The message gives the reason.
-    """
+    """Raise `InvalidInput` if a contender cannot drive in the profile of the runs, or has a tuning for each run."""
     if np.ndim(contender.as_policy().tunings) == 2:
         raise InvalidInput(f"contender {contender.name!r}: has a tuning for each run; on roads give one controller.")
     try:

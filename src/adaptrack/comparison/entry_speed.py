@@ -154,12 +154,7 @@ def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, spee
     """Return the tuning with the largest clearance in its worst drive at one entry speed (m/s), and that clearance.
 
     The candidates are those of `tunings_to_try`, each driven with the noise seeds `TUNING_SEEDS`. name: registered name
-    of the controller
-
-    Raises
-    ------
-    InvalidInput
-        For a controller without an entry in `SEARCH_GRIDS`.
+    of the controller. Errors as `tunings_to_try`.
     """
     tunings = tunings_to_try(name, controller)
     margins = test.margins(controller, speed, tunings, TUNING_SEEDS)

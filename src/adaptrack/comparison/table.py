@@ -41,13 +41,7 @@ class ContenderRole:
 
 
 def check_names(contenders: Sequence[str], reference: str) -> None:
-    """Refuse equal names of contenders, and a reference that is no contender.
-
-    Raises
-    ------
-    InvalidInput
-        The message gives the names.
-    """
+    """Raise `InvalidInput` for equal names of contenders, and for a reference that is no contender."""
     if len(set(contenders)) < len(contenders):
         raise InvalidInput(f"contenders: {', '.join(contenders)}: two have the same name.")
     if reference not in contenders:

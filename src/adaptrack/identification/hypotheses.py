@@ -195,13 +195,7 @@ def compare(evidence: Evidence, *stages: str) -> list[Agreement]:
 
 
 def refuse_contradictions(evidence: Evidence, stage: str) -> None:
-    """Refuse a log whose signals contradict each other at a stage.
-
-    Raises
-    ------
-    InvalidInput
-        Naming what is wrong and the option that mends it.
-    """
+    """Raise `InvalidInput` where signals contradict each other at a stage; it names the option that mends it."""
     for agreement in compare(evidence, stage):
         if agreement.contradiction:
             raise InvalidInput(f"log: {agreement.contradiction}")

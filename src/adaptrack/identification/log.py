@@ -229,13 +229,7 @@ def _without_stuck(time: Array, data: dict[str, Array], wheelbase: float, notes:
 
 
 def require_columns(columns: Mapping[str, Array], *names: str) -> None:
-    """Check that columns exist and hold numbers.
-
-    Raises
-    ------
-    InvalidInput
-        When one does not; the message names the option that mends it.
-    """
+    """Raise `InvalidInput` where a column does not exist or holds no number; it names the option that mends it."""
     for name in names:
         if name not in columns:
             raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")

@@ -416,13 +416,7 @@ def best_constant(runs: RunSet, tunings: int = Effort().constant_tunings) -> Arr
 
 
 def safe_constant(runs: RunSet, stability: StabilityMap) -> Tuning:
-    """The cheapest of the map's tunings far from instability that fail in hardly any of the hard drives.
-
-    Raises
-    ------
-    InvalidInput
-        As `safe_candidates`.
-    """
+    """The cheapest of the `safe_candidates` that fail in hardly any of the hard drives; errors as those."""
 
     def judge(rows: Array, count: int) -> tuple[Indices, Array]:
         """Failures and mean log cost of each tuning, on the first `count` runs."""

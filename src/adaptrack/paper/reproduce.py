@@ -203,13 +203,7 @@ def best_of_library(dataset: DataSet) -> BestConstant:
 
 
 def grid_lookup(dataset: DataSet) -> Schedule:
-    """A table of the best tunings found, interpolated between the operating points, which must fill a grid.
-
-    Raises
-    ------
-    InvalidInput
-        When they do not.
-    """
+    """A table of the best tunings found, between the operating points; `InvalidInput` where these fill no grid."""
     nodes, places = zip(*(np.unique(column, return_inverse=True) for column in dataset.operating_points.T), strict=True)
     sizes = tuple(map(len, nodes))
     if not len(dataset) == math.prod(sizes) == np.unique(np.ravel_multi_index(places, sizes)).size:
