@@ -151,17 +151,15 @@ class FuzzySurface(Surface):
         premises[:, BELL_WIDTH] = (near[:, None] * half * RULE_WIDTH).ravel()
         premises[:, BELL_SLOPE] = 1.0
         premises[:, 2] = (centres * half + low).ravel()
-        consequents = np.zeros((rules, inputs + 1))
-        consequents[:, -1] = value
         system = Sugeno(
             owner=np.tile(np.arange(inputs), rules),
             bell=np.zeros(rules * inputs, dtype=bool),
             premises=premises,
             rules=np.arange(rules * inputs).reshape(rules, inputs),
-            consequents=consequents,
+            consequents=np.zeros((rules, inputs + 1)),
             weights=np.ones(rules),
         )
-        return cls(system, half)
+        return cls(system, half).level(value)
 
     def level(self, value: float) -> FuzzySurface:
         """Return these rules with the output `value` everywhere."""
