@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,6 @@ from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import Array
 from adaptrack.results import marks
 from adaptrack.results.words import INPUT_LABELS, number
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 THIN_MODULUS = 0.25
 """Modulus margin below which an answer calls it thin; textbooks ask for at least 0.5."""
@@ -177,7 +174,7 @@ def _worst(certificate: Certificate) -> ResultTable:
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
 def _modulus(certificate: Certificate, least: float) -> Picture:
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         dots: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(certificate.speeds) < 12 else {}
         for driving, stroke in _STROKES.items():
             margin = certificate.cells(getattr(certificate.counted, driving).modulus_margin).reshape(

@@ -17,7 +17,7 @@ from adaptrack.core.maths import portable
 from adaptrack.results.words import data_text, legible, number
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes  # other modules name this type without loading matplotlib
     from matplotlib.colors import Colormap
     from matplotlib.ticker import FixedLocator
     from numpy.typing import ArrayLike, NDArray

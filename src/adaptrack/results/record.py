@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from markupsafe import Markup
@@ -31,9 +31,6 @@ from adaptrack.results import marks
 from adaptrack.results.words import data_text, span
 from adaptrack.road import Road
 from adaptrack.road.road_ahead import foot_near
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -255,7 +252,7 @@ def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> 
     return min(max(0.75 * width * y_range / max(x_range, 1.0) + 0.8, 0.45 * width), tallest)
 
 
-def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, ends: tuple[float, float]) -> None:
+def _draw_from_above(axes: marks.Axes, drive: DriveRecord, scale: marks.ColourScale, ends: tuple[float, float]) -> None:
     left, right = drive.road.edges(outline_stations(drive.road, *ends))
     surface = np.concatenate([left, right[::-1]])
     axes.fill(*surface.T, facecolor=marks.PALE, edgecolor="none", linewidth=0.6, zorder=1)
