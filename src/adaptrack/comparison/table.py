@@ -312,8 +312,8 @@ def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.nanmean(values * values))) if np.isfinite(values).any() else float("nan")
 
 
-def _percentile(values: NDArray[Any], percent: float, missing: float = float("nan")) -> float:
-    return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else missing
+def _percentile(values: NDArray[Any], percent: float) -> float:
+    return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else float("nan")
 
 
 DRIVER_SUMMARIES: dict[str, Callable[[NDArray[Any]], Any]] = {

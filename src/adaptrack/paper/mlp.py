@@ -26,7 +26,7 @@ from adaptrack.base.checked import Count, Positive
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import Network
 from adaptrack.core.maths.portable import Array
-from adaptrack.paper.regressor import Regressor, Samples, mean
+from adaptrack.paper.regressor import Regressor, Samples
 
 MLP_SOLVERS = {"momentum": "sgd", "adam": "adam", "lbfgs": "lbfgs"}
 """Our names, and scikit-learn's."""
@@ -111,7 +111,8 @@ class MLP(Regressor):
         self.best_epoch_ = int(self.history_["epoch"][np.argmin(decisive)])
         self.n_iter_ = int(self.history_["epoch"][-1])
         linear = replace(self.network_, relu=False)
-        self.dead_share_ = float(mean(self.network_.predict(rows.x) != linear.predict(rows.x), rows.weight))
+        is_dead = self.network_.predict(rows.x) != linear.predict(rows.x)
+        self.dead_share_ = float(np.average(is_dead, weights=rows.weight))
         return self
 
     def predict(self, X: ArrayLike) -> Array:

@@ -45,11 +45,6 @@ def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array 
     return np.asarray(weight, dtype=np.float64)
 
 
-def mean(values: Array, weight: Array | None) -> Any:
-    """Down the rows of values (n, ...), each counting by its weight."""
-    return values.mean(axis=0) if weight is None else np.average(values, axis=0, weights=weight)
-
-
 def held_out(model: str, n: int, fraction: float, rng: np.random.RandomState) -> tuple[RowNumbers, RowNumbers]:
     """The rows to train on and the held-out rows of n: a `fraction` at random, at least one; both ascending.
 
@@ -78,7 +73,7 @@ class Samples(NamedTuple):
 
     def rmse(self, function: Any) -> float:
         """Root mean square error of the output of a network or a fuzzy system on these samples."""
-        return math.sqrt(float(mean(portable.square(function.predict(self.x) - self.y), self.weight)))
+        return math.sqrt(np.average(portable.square(function.predict(self.x) - self.y), weights=self.weight))
 
 
 class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
