@@ -346,11 +346,9 @@ def _lateness(time: Array, reference: Array, signal: Array) -> Slope:
 
     0 where no shift explains much more than none does.
     """
-    begins = np.append(0, np.flatnonzero(np.diff(time) > 1.0) + 1)
-    if begins.size > 1:  # the longest stretch
-        ends = np.append(begins[1:], time.size)
-        part = slice(*max(zip(begins, ends, strict=True), key=lambda ends: time[ends[1] - 1] - time[ends[0]]))
-        time, reference, signal = time[part], reference[part], signal[part]
+    stretches = np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > 1.0) + 1)
+    longest = max(stretches, key=lambda rows: time[rows[-1]] - time[rows[0]])
+    time, reference, signal = time[longest], reference[longest], signal[longest]
     if time.size < LEAST_BOTH or time[-1] - time[0] < 10.0:
         return Slope(0.0, 0.0)
     signal = window_mean(time, signal)
