@@ -66,11 +66,10 @@ class Steady(NamedTuple):
         """Return the signals of `sensed` and how far the path has turned (rad), (9,); period in s."""
         states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
         yaw_rate = states["yaw_rate"]
-        signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
-            "yaw": states["psi"],
-            "wheel_angle": self.steering,
-        }
-        signals |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
+        signals = {
+            "vy": states["vy"], "yaw": states["psi"], "yaw_rate": yaw_rate, "wheel_angle": self.steering,
+            "lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period,
+        }  # fmt: skip
         return np.array([signals.get(name, 0.0) for name in (*sensed(), "turned")])
 
 

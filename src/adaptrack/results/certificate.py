@@ -177,9 +177,7 @@ def _modulus(certificate: Certificate, least: float) -> Picture:
     def draw(axes: marks.Axes) -> None:
         dots: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(certificate.speeds) < 12 else {}
         for driving, stroke in _STROKES.items():
-            margin = certificate.cells(getattr(certificate.counted, driving).modulus_margin).reshape(
-                len(certificate.speeds), -1
-            )
+            margin = getattr(certificate.counted, driving).modulus_margin.reshape(len(certificate.speeds), -1)
             low, high = margin.min(axis=1), margin.max(axis=1)
             axes.fill_between(certificate.speeds, low, high, color=stroke["color"], **marks.BAND)
             axes.plot(certificate.speeds, low, **stroke, **dots)
