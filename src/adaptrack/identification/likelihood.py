@@ -33,7 +33,6 @@ from adaptrack.identification.quantities import (
     Prior,
     Quantity,
     Reported,
-    kinds_of,
     report_delay,
     report_quantity,
     understeer,
@@ -77,7 +76,7 @@ class InnovationLikelihood(ABC):
     """rad, angle of the road wheels in tight bends"""
 
     def __init__(self, time: Array, begins: NDArray[np.bool_], beliefs: Mapping[str, Prior]) -> None:
-        self.time, self._kinds = time, kinds_of(self.quantities)
+        self.time = time
         self.median, self.spread = np.array([beliefs[quantity.name] for quantity in self.quantities]).T.copy()
         self.free = np.flatnonzero(self.spread > 0.0)
         """entries of z that are estimated"""
@@ -85,7 +84,7 @@ class InnovationLikelihood(ABC):
 
     def values(self, z: Array) -> Array:
         """The quantities at a point z, in their units and order."""
-        return values_of(z, self.median, self.spread, self._kinds)
+        return values_of(z, self.median, self.spread, self.quantities)
 
     @abstractmethod
     def innovations(self, z: Array) -> tuple[Array, Array]:
