@@ -15,7 +15,7 @@ from functools import cached_property, partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, Hint, Positive, checked, real
 from adaptrack.base.errors import InvalidInput
@@ -541,8 +541,8 @@ class EstimatorAt:
                     break
                 before = remembered.copy()
         derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory, self._age_places)
-        moved = [i for i in derivatives if i < self._memory]
-        moves = np.array([derivatives[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
+        moved = np.array([i for i in derivatives if i < self._memory], dtype=np.intp)
+        moves = np.array([derivatives[i] for i in moved.tolist()]).reshape(len(moved), self._memory + self.model.n + 1)
         relevant = _relevant_places(moves, moved, self._memory)
         return self._linearise_changes(derivatives, relevant), relevant
 
@@ -622,13 +622,12 @@ def _differences(step: Callable[[Array], Array], equilibrium: Array, memory: int
     return derivatives
 
 
-def _relevant_places(moves: Array, places: list[int], memory: int) -> list[int]:
+def _relevant_places(moves: Array, places: NDArray[np.intp], memory: int) -> list[int]:
     """Return the memory indices that influence xi now or later; row i of moves: derivatives by places[i]."""
-    is_relevant = np.abs(moves[:, memory:]).max(axis=1, initial=0.0) > 0.0
+    is_relevant = moves[:, memory:].any(axis=1)
     for _ in places:
-        acting = [place for place, relevant in zip(places, is_relevant, strict=True) if relevant]
-        is_relevant |= np.abs(moves[:, acting]).max(axis=1, initial=0.0) > 0.0
-    return [place for place, relevant in zip(places, is_relevant, strict=True) if relevant]
+        is_relevant |= moves[:, places[is_relevant]].any(axis=1)
+    return places[is_relevant].tolist()
 
 
 def _with_last_command(rows: Array, size: int) -> LinearEstimator:
