@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep
 from adaptrack.analysis.stability import Margins
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
-from adaptrack.control.scheduling import SchedulingVariables
+from adaptrack.control.scheduling import VARIABLES, SchedulingVariables
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import Array
 from adaptrack.results import marks
-from adaptrack.results.words import INPUT_LABELS, number
+from adaptrack.results.words import number
 
 THIN_MODULUS = 0.25
 """Modulus margin below which an answer calls it thin; textbooks ask for at least 0.5."""
@@ -156,7 +156,7 @@ def _unstable(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
 def _worst(certificate: Certificate) -> ResultTable:
     names = SchedulingVariables._fields
     varied = [
-        Column(name, *label, 3) for name, label in INPUT_LABELS.items()
+        Column(name, variable.label, variable.unit, 3) for name, variable in VARIABLES.items()
         if name not in ("speed", "friction") and np.ptp(certificate.points[:, names.index(name)]) > 0.0
     ]  # fmt: skip
     rows = [

@@ -13,13 +13,9 @@ from numpy.typing import NDArray
 
 from adaptrack.base.presentation import printable
 from adaptrack.base.result import Column
-from adaptrack.control.scheduling.variables import VARIABLES
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN_SPACE = "\u202f"
-
-INPUT_LABELS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
-"""The label and unit of each scheduling variable."""
 
 
 def number(value: float | int | None, digits: int = 3) -> str:
