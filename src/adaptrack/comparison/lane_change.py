@@ -312,8 +312,8 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: Speed) -> Speed
     rolling = car.rolling_resistance * GRAVITY
     coasted = np.maximum(s - entry, 0.0)
     if drag > 0.0:
-        loss = -2.0 * drag * coasted
-        square = speed * speed * portable.exp(loss) + rolling / drag * portable.expm1(loss)
+        exponent = -2.0 * drag * coasted
+        square = speed * speed * portable.exp(exponent) + rolling / drag * portable.expm1(exponent)
     else:
         square = speed * speed - 2.0 * rolling * coasted
     if square.min() <= 0.0:

@@ -347,8 +347,8 @@ def _lateness(time: Array, reference: Array, signal: Array) -> Slope:
     0 where no shift explains much more than none does.
     """
     stretches = np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > 1.0) + 1)
-    longest = max(stretches, key=lambda rows: time[rows[-1]] - time[rows[0]])
-    time, reference, signal = time[longest], reference[longest], signal[longest]
+    rows = max(stretches, key=lambda rows: time[rows[-1]] - time[rows[0]])  # of the longest stretch
+    time, reference, signal = time[rows], reference[rows], signal[rows]
     if time.size < LEAST_BOTH or time[-1] - time[0] < 10.0:
         return Slope(0.0, 0.0)
     signal = window_mean(time, signal)

@@ -409,8 +409,8 @@ def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str
     mapping, notes = dict(reading.columns), list[str]()
     plain = {column: _plain(column)[0] for column in table}
     for signal, (_, names) in SIGNAL_COLUMNS.items():
-        free = [column for column in table if signal not in mapping and column not in mapping.values()]
-        match = next((column for name in names for column in free if plain[column] == name), None)
+        unused = [column for column in table if signal not in mapping and column not in mapping.values()]
+        match = next((column for name in names for column in unused if plain[column] == name), None)
         if match is not None:
             mapping[signal] = match
             if match != signal:

@@ -89,8 +89,8 @@ class NetworkSurface(Surface):
             for p, g, m, v in zip(parameters, gradients, first, second, strict=True):
                 m += 0.1 * (g - m)
                 v += 0.01 * (g * g - v)
-                mean, square = m / (1.0 - portable.power(0.9, epoch)), v / (1.0 - portable.power(0.99, epoch))
-                p -= rate * mean / (np.sqrt(square) + 1e-10)
+                mean, mean_square = m / (1.0 - portable.power(0.9, epoch)), v / (1.0 - portable.power(0.99, epoch))
+                p -= rate * mean / (np.sqrt(mean_square) + 1e-10)
         return replace(self, network=replace(net, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2])))
 
     def average(self, surfaces: Sequence[Self]) -> Self:

@@ -174,11 +174,11 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     for k, (symbol, unit) in enumerate(OUTPUT_LABELS):
         scale = shared_scale([surface[..., k] for surface in surfaces.values()], integer=k < 2)
         for name, schedule in schedules.items():
-            second = VARIABLES[schedule.inputs[1]]
+            axis = VARIABLES[schedule.inputs[1]]
             title, cells = f"{data_text(contender_label(name))}: {symbol} ({unit})", surfaces[name][..., k]
-            words = f"{plain(symbol)} over speed and {second.label.lower()}: {span(cells)}."
+            words = f"{plain(symbol)} over speed and {axis.label.lower()}: {span(cells)}."
             edges = schedule.domain[:2]
-            panels.append(speed_map(title, edges, cells, scale, f"{second.label} ({second.unit})", words, image=True))
+            panels.append(speed_map(title, edges, cells, scale, f"{axis.label} ({axis.unit})", words, image=True))
     columns = len(schedules) if len(schedules) > 1 else len(OUTPUT_LABELS)
     return Picture("surfaces", "", panels, file="surfaces.png", columns=columns, row_height=2.1)
 
