@@ -135,7 +135,7 @@ REPLAYED_SIGNALS: dict[str, tuple[Callable[[Trajectory], Array], float]] = {
     "station": (lambda run: run.road["station"], 1e-2),
     "x": (lambda run: run.X, 1e-3),
     "y": (lambda run: run.Y, 1e-3),
-    "yaw": (lambda run: np.unwrap(run.psi), 1e-4),
+    "yaw": (lambda run: run.psi, 1e-4),
     "speed": (lambda run: run.vx, 1e-2),
     "offset": (lambda run: run.road["offset"], 1e-3),
     "steering": (lambda run: run.steering, 1e-4),
@@ -368,6 +368,7 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
 def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     keep, shape = sample_indices(drive), drive.shape
     columns = {name: (read(drive.run), unit) for name, (read, unit) in REPLAYED_SIGNALS.items()}
+    columns["yaw"] = np.unwrap(columns["yaw"][0]), columns["yaw"][1]
     columns |= {name: (values, SPEED_SIGNAL_UNIT) for name, values in _speed_signals(drive.run).items()}
     return {
         "name": printable(label),
