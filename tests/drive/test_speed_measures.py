@@ -41,7 +41,7 @@ def test_the_planned_speed_is_that_of_the_place_and_not_of_the_time(drive, run, 
         assert np.abs(planned - run.v_ref).max() > 1.0  # it is late behind the stop
     record = DriveRecord.from_trajectory(run, drive.road)
     station = record.run.road["station"]
-    assert REPLAYED_SIGNALS["planned_speed"](record.run) == pytest.approx(drive.plan.at(station), abs=1e-12)
+    assert REPLAYED_SIGNALS["planned_speed"][0](record.run) == pytest.approx(drive.plan.at(station), abs=1e-12)
 
 
 @pytest.mark.compiled

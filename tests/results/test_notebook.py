@@ -45,7 +45,7 @@ def test_a_run_of_two_laps_is_projected_lap_after_lap(lap):
     assert np.abs(place_on_road(run, lap).road["heading_error"]).max() < 1e-6
     assert record.failure is None
     assert record.shape == DrawnCar.of(load_vehicle("paper"))
-    assert REPLAYED_SIGNALS["planned_speed"](record.run) == pytest.approx(10.0)
+    assert REPLAYED_SIGNALS["planned_speed"][0](record.run) == pytest.approx(10.0)
 
 
 def test_a_run_that_ends_in_nan_is_cut_there_and_says_why_it_failed(lap):

@@ -19,7 +19,7 @@ from adaptrack.drive.trajectory import provenance
 from adaptrack.results import style, words, write_drive_page, write_result
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
-from adaptrack.results.marks import SERIES, ColourScale, Dot, caption_notes, draw_heat_map, log_ticks, set_log_scale
+from adaptrack.results.marks import SERIES, ColourScale, Dot, caption_notes, log_ticks, set_log_scale, speed_map
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from made_drives import trajectory
 from pictures import pictures
@@ -409,7 +409,7 @@ def test_the_colours_of_several_maps_span_all_their_numbers():
 @pytest.mark.parametrize("image", [False, True])
 def test_a_heat_map_shows_its_numbers_where_they_belong(image):
     axes = Figure(layout="constrained").subplots()
-    draw_heat_map(axes, [0.0, 10.0, 20.0], [0.3, 1.0], [[1.0, 2.0]], ColourScale(1.0, 2.0), image=image)
+    speed_map("", ([0.0, 10.0, 20.0], [0.3, 1.0]), [[1.0, 2.0]], ColourScale(1.0, 2.0), "", "", image=image).draw(axes)
     (drawn,) = axes.images if image else axes.collections
     assert np.ravel(drawn.get_array()).tolist() == [1.0, 2.0]
     assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 20.0), (0.3, 1.0))

@@ -13,7 +13,6 @@ from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.results import record
 from adaptrack.results.drive import drive_result, write_drive_page
 from adaptrack.results.record import (
-    REPLAY_UNITS,
     DrawnCar,
     DriveRecord,
     above_picture,
@@ -67,9 +66,8 @@ def test_names_from_files_cannot_break_the_page(tmp_path):
 def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
     (car,) = replay_data({"informed": drive})["cars"]
-    for name, unit in REPLAY_UNITS.items():
-        values = record.REPLAYED_SIGNALS[name](drive.run)
-        assert np.abs(unpacked(car["columns"][name]) - values).max() <= 0.5 * unit + 1e-9
+    for name, (read, unit) in record.REPLAYED_SIGNALS.items():
+        assert np.abs(unpacked(car["columns"][name]) - read(drive.run)).max() <= 0.5 * unit + 1e-9
     assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 
 

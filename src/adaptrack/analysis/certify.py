@@ -38,9 +38,8 @@ from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.scenario.profile import Profile, load_profile
-
-Array = NDArray[np.float64]
 
 OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
 """Range of each scheduling variable. A scheduler is certified where these ranges and its own domain overlap."""

@@ -22,9 +22,8 @@ from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.scenario.profile import Profile
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.1
 """Sufficient modulus margin of a loop.

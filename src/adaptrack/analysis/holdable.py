@@ -109,10 +109,8 @@ def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
     mpc, profile = loop.mpc, loop.profile.without_sample_ages
     plant = DualTrack(car)
     lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
-    count = max(
-        2,
-        math.ceil(portable.log(max(top_speed(car) / lowest, TABLE_SPEED_RATIO)) / portable.log(TABLE_SPEED_RATIO)) + 1,
-    )
+    ratio = max(top_speed(car) / lowest, TABLE_SPEED_RATIO)
+    count = math.ceil(portable.log(ratio) / portable.log(TABLE_SPEED_RATIO)) + 1
     speeds = portable.geomspace(lowest, max(top_speed(car), TABLE_SPEED_RATIO * lowest), count).round(2).tolist()
     cornering = [float(cornering_limit(car, [0.0], [mu])[0]) for mu in TABLE_FRICTIONS]
     braking = np.empty((len(TABLE_FRICTIONS), len(speeds), len(LATERAL_SHARES)))

@@ -25,11 +25,9 @@ from adaptrack.control.controllers import MPC
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel, laguerre_basis
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.models import contract
 from adaptrack.scenario.profile import Profile, load_profile
-
-Array = NDArray[np.float64]
 
 SENSED_STATES = ("vy", "psi", "yaw_rate", "Y")
 """States of the plant that sensors measure."""
@@ -68,11 +66,10 @@ class Steady(NamedTuple):
         """Return the signals of `sensed` and how far the path has turned (rad), (9,); period in s."""
         states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
         yaw_rate = states["yaw_rate"]
-        signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
-            "yaw": states["psi"],
-            "wheel_angle": self.steering,
-        }
-        signals |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
+        signals = {
+            "vy": states["vy"], "yaw": states["psi"], "yaw_rate": yaw_rate, "wheel_angle": self.steering,
+            "lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period,
+        }  # fmt: skip
         return np.array([signals.get(name, 0.0) for name in (*sensed(), "turned")])
 
 
@@ -339,12 +336,7 @@ class Mismatch:
     ) -> Sampled:
         """Return the result of `sampled` for the true car in straight driving.
 
-        `plant` and `profile` are those of the controller's model.
-
-        Raises
-        ------
-        InvalidInput
-            As for `true_car`.
+        `plant` and `profile` are those of the controller's model. Errors as `true_car`.
         """
         world = load_profile(profile)
         believed = _steering(plant, world)
@@ -549,8 +541,8 @@ class EstimatorAt:
                     break
                 before = remembered.copy()
         derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory, self._age_places)
-        moved = [i for i in derivatives if i < self._memory]
-        moves = np.array([derivatives[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
+        moved = np.array([i for i in derivatives if i < self._memory], dtype=np.intp)
+        moves = np.array([derivatives[i] for i in moved.tolist()]).reshape(len(moved), self._memory + self.model.n + 1)
         relevant = _relevant_places(moves, moved, self._memory)
         return self._linearise_changes(derivatives, relevant), relevant
 
@@ -630,13 +622,12 @@ def _differences(step: Callable[[Array], Array], equilibrium: Array, memory: int
     return derivatives
 
 
-def _relevant_places(moves: Array, places: list[int], memory: int) -> list[int]:
+def _relevant_places(moves: Array, places: NDArray[np.intp], memory: int) -> list[int]:
     """Return the memory indices that influence xi now or later; row i of moves: derivatives by places[i]."""
-    is_relevant = np.abs(moves[:, memory:]).max(axis=1, initial=0.0) > 0.0
+    is_relevant = moves[:, memory:].any(axis=1)
     for _ in places:
-        acting = [place for place, relevant in zip(places, is_relevant, strict=True) if relevant]
-        is_relevant |= np.abs(moves[:, acting]).max(axis=1, initial=0.0) > 0.0
-    return [place for place, relevant in zip(places, is_relevant, strict=True) if relevant]
+        is_relevant |= moves[:, places[is_relevant]].any(axis=1)
+    return places[is_relevant].tolist()
 
 
 def _with_last_command(rows: Array, size: int) -> LinearEstimator:

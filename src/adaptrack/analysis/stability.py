@@ -35,11 +35,10 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, tw
 from adaptrack.cars.vehicle import Domain, Vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario.profile import Profile
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _ANGLES = portable.geomspace(1e-3, np.pi, 768)  # frequencies of the loop gain (rad per control period)

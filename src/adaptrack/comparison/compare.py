@@ -120,13 +120,7 @@ def compare(
 
 
 def check_fits(contender: Contender, runs: RunSet) -> None:
-    """Refuse a contender that cannot drive in the profile of the runs, or that has a tuning for each run.
-
-    Raises
-    ------
-    InvalidInput
-        The message gives the reason.
-    """
+    """Raise `InvalidInput` if a contender cannot drive in the profile of the runs, or has a tuning for each run."""
     if np.ndim(contender.as_policy().tunings) == 2:
         raise InvalidInput(f"contender {contender.name!r}: has a tuning for each run; on roads give one controller.")
     try:
@@ -156,14 +150,11 @@ def _controller(contender: Contender, runs: RunSet) -> str:
 
 # -- measures of runs -------------------------------------------------------------------------------------------------
 RUN = {
-    "rms_error": "rms_error", "p95_error": "p95_error", "max_error": "max_abs_error", "max_corner": "max_corner_error",
-    "steering_rate": "steering_rate_rms", "acceleration": "lateral_acceleration_r79", "jerk": "jerk_r79",
-    "duration": "duration",
+    "rms_error": ("rms_error", "m"), "p95_error": ("p95_error", "m"), "max_error": ("max_abs_error", "m"),
+    "max_corner": ("max_corner_error", "m"), "steering_rate": ("steering_rate_rms", "rad/s"),
+    "acceleration": ("lateral_acceleration_r79", "m/s^2"), "jerk": ("jerk_r79", "m/s^3"), "duration": ("duration", "s"),
 }  # fmt: skip
-"""Measures of a run up to its end or failure, with the name of each in `Metrics` and `path_metrics`.
-
-Units in this order: m, m, m, m, rad/s, m/s^2, m/s^3, s.
-"""
+"""Measures of a run up to its end or failure, with the name of each in `Metrics` and `path_metrics`, and its unit."""
 
 
 def measure_runs(
@@ -191,7 +182,7 @@ def _run_measures(
         "failed": metrics.failed,
         "reason": metrics.failed_reason or "",
         "failed_at": float(metrics.failed_at) if metrics.failed else None,
-        **{name: None if path is None else path[key] for name, key in RUN.items()},
+        **{name: None if path is None else path[key] for name, (key, _) in RUN.items()},
         **(speed_measures(run, drive.road, drive.plan) if isinstance(drive, RoadDrive) else {}),
     }
 

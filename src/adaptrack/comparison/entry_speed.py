@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
@@ -33,12 +32,11 @@ from adaptrack.comparison.lane_change import (
 )
 from adaptrack.control.controllers import Controller
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import Profile
-
-Array = NDArray[np.float64]
 
 ENTRY_SEEDS = (0, 1, 2)
 """Noise seeds of the drives that determine the entry speed."""
@@ -156,12 +154,7 @@ def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, spee
     """Return the tuning with the largest clearance in its worst drive at one entry speed (m/s), and that clearance.
 
     The candidates are those of `tunings_to_try`, each driven with the noise seeds `TUNING_SEEDS`. name: registered name
-    of the controller
-
-    Raises
-    ------
-    InvalidInput
-        For a controller without an entry in `SEARCH_GRIDS`.
+    of the controller. Errors as `tunings_to_try`.
     """
     tunings = tunings_to_try(name, controller)
     margins = test.margins(controller, speed, tunings, TUNING_SEEDS)

@@ -21,7 +21,7 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
@@ -32,11 +32,11 @@ from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
-Array = NDArray[np.float64]
 Pass = tuple[int, float, "Gate"]
 CarWidth = Annotated[Positive, Field(le=4.0), "m"]
 Speed = Annotated[Positive, MAX_SPEED, "m/s"]
@@ -312,9 +312,8 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: Speed) -> Speed
     rolling = car.rolling_resistance * GRAVITY
     coasted = np.maximum(s - entry, 0.0)
     if drag > 0.0:
-        square = speed * speed * portable.exp(-2.0 * drag * coasted) + rolling / drag * portable.expm1(
-            -2.0 * drag * coasted
-        )
+        exponent = -2.0 * drag * coasted
+        square = speed * speed * portable.exp(exponent) + rolling / drag * portable.expm1(exponent)
     else:
         square = speed * speed - 2.0 * rolling * coasted
     if square.min() <= 0.0:

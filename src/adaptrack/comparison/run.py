@@ -207,11 +207,8 @@ ENTRY_SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of preferred reference contenders. A comparison without them uses its first contender."""
 COMPARISON_FORMAT, COMPARISON_VERSION, RUNS_FILE = "adaptrack comparison", 1, "runs.parquet"
-MEASURE_UNITS = {
-    "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
-    "max_corner": "m", "steering_rate": "rad/s", "acceleration": "m/s^2", "jerk": "m/s^3", "duration": "s", "seed": "-",
-    **SPEED_MEASURES,
-}  # fmt: skip
+MEASURE_UNITS = {"cost": "m^2", "failed_at": "s", **{name: unit for name, (_, unit) in RUN.items()}, **SPEED_MEASURES}
+"""Units of the columns of a comparison; the others have none."""
 
 
 @dataclass(frozen=True, eq=False)

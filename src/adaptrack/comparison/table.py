@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio, regret_percentiles
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.failure import FailureLimits
-
-Array = NDArray[np.float64]
 
 WITH = " + "
 """Text between the names of a controller and its driver."""
@@ -42,13 +41,7 @@ class ContenderRole:
 
 
 def check_names(contenders: Sequence[str], reference: str) -> None:
-    """Refuse equal names of contenders, and a reference that is no contender.
-
-    Raises
-    ------
-    InvalidInput
-        The message gives the names.
-    """
+    """Raise `InvalidInput` for equal names of contenders, and for a reference that is no contender."""
     if len(set(contenders)) < len(contenders):
         raise InvalidInput(f"contenders: {', '.join(contenders)}: two have the same name.")
     if reference not in contenders:
@@ -319,8 +312,8 @@ def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.nanmean(values * values))) if np.isfinite(values).any() else float("nan")
 
 
-def _percentile(values: NDArray[Any], percent: float, missing: float = float("nan")) -> float:
-    return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else missing
+def _percentile(values: NDArray[Any], percent: float) -> float:
+    return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else float("nan")
 
 
 DRIVER_SUMMARIES: dict[str, Callable[[NDArray[Any]], Any]] = {

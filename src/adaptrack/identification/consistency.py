@@ -17,11 +17,11 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.estimates import Moments
 from adaptrack.identification.hypotheses import INF, Case, find_cases
@@ -29,8 +29,6 @@ from adaptrack.identification.identified_car import HARDLY, Estimate, Validation
 from adaptrack.identification.likelihood import Fit, Likelihood
 from adaptrack.identification.log import Log, window_mean
 from adaptrack.identification.quantities import INDEX, degrees_per_g
-
-Array = NDArray[np.float64]
 
 MAX_PRIOR_DEVIATIONS, MAX_REACH = 3.0, 3.5
 """Standard deviations of the prior, beyond which an estimate is not of such a car, and its interval says nothing."""

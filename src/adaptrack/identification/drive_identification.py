@@ -20,7 +20,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import PedalMap, Vehicle, load_vehicle
 from adaptrack.core.identification import drive as kernel
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.estimates import estimates_of
 from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
@@ -37,8 +37,6 @@ from adaptrack.identification.log import (
 )
 from adaptrack.identification.quantities import Prior, Quantity, Reported, report_delay, report_quantity
 from adaptrack.identification.reading import Columns, Reading, Source, read_logs
-
-Array = NDArray[np.float64]
 
 LONGITUDINAL_COMMANDS, PEDALS = ("force_command", "acceleration_command"), ("throttle", "brake")
 MIN_COMPARED_SPEED, MIN_PEDAL_SPEED = 2.0, 0.3

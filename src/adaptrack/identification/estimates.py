@@ -20,15 +20,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.identification.identified_car import Estimate
 from adaptrack.identification.likelihood import Fit, InnovationLikelihood
 from adaptrack.identification.quantities import Reported
-
-Array = NDArray[np.float64]
 
 Moments = Mapping[str, tuple[float, float]]
 """Mean and variance of quantities by name; of logarithms of positive quantities."""

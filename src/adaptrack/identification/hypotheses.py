@@ -27,17 +27,15 @@ from functools import cached_property, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.input_check.hypotheses import MISTAKE_NAMED
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.log import Log, log_of, shorten_log, unwrapped, window_mean
 from adaptrack.identification.reading import Columns
 
-Array = NDArray[np.float64]
 Measurements = Mapping[str, Any]
 """Measurements by name (NaN: unknown), and words for sentences."""
 
@@ -197,13 +195,7 @@ def compare(evidence: Evidence, *stages: str) -> list[Agreement]:
 
 
 def refuse_contradictions(evidence: Evidence, stage: str) -> None:
-    """Refuse a log whose signals contradict each other at a stage.
-
-    Raises
-    ------
-    InvalidInput
-        Naming what is wrong and the option that mends it.
-    """
+    """Raise `InvalidInput` where signals contradict each other at a stage; it names the option that mends it."""
     for agreement in compare(evidence, stage):
         if agreement.contradiction:
             raise InvalidInput(f"log: {agreement.contradiction}")
@@ -354,11 +346,9 @@ def _lateness(time: Array, reference: Array, signal: Array) -> Slope:
 
     0 where no shift explains much more than none does.
     """
-    begins = np.append(0, np.flatnonzero(np.diff(time) > 1.0) + 1)
-    if begins.size > 1:  # the longest stretch
-        ends = np.append(begins[1:], time.size)
-        part = slice(*max(zip(begins, ends, strict=True), key=lambda ends: time[ends[1] - 1] - time[ends[0]]))
-        time, reference, signal = time[part], reference[part], signal[part]
+    stretches = np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > 1.0) + 1)
+    rows = max(stretches, key=lambda rows: time[rows[-1]] - time[rows[0]])  # of the longest stretch
+    time, reference, signal = time[rows], reference[rows], signal[rows]
     if time.size < LEAST_BOTH or time[-1] - time[0] < 10.0:
         return Slope(0.0, 0.0)
     signal = window_mean(time, signal)

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, KnownWithin, PedalMap, Steering, Tyre, Vehicle
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.log import Log
-
-Array = NDArray[np.float64]
 
 HARDLY = 0.7
 """Share of the earlier spread that is left where a log says next to nothing."""

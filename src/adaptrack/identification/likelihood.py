@@ -23,7 +23,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.identification import steering as kernel
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.identification.log import Log, segment_starts, window_mean
 from adaptrack.identification.quantities import (
     INDEX,
@@ -33,15 +33,12 @@ from adaptrack.identification.quantities import (
     Prior,
     Quantity,
     Reported,
-    kinds_of,
     report_delay,
     report_quantity,
     understeer,
     values_of,
 )
 from adaptrack.road.smoothing import Smoother
-
-Array = NDArray[np.float64]
 
 MEASURED_OUTPUTS = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
 DIFFERENCE_STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5
@@ -79,7 +76,7 @@ class InnovationLikelihood(ABC):
     """rad, angle of the road wheels in tight bends"""
 
     def __init__(self, time: Array, begins: NDArray[np.bool_], beliefs: Mapping[str, Prior]) -> None:
-        self.time, self._kinds = time, kinds_of(self.quantities)
+        self.time = time
         self.median, self.spread = np.array([beliefs[quantity.name] for quantity in self.quantities]).T.copy()
         self.free = np.flatnonzero(self.spread > 0.0)
         """entries of z that are estimated"""
@@ -87,7 +84,7 @@ class InnovationLikelihood(ABC):
 
     def values(self, z: Array) -> Array:
         """The quantities at a point z, in their units and order."""
-        return values_of(z, self.median, self.spread, self._kinds)
+        return values_of(z, self.median, self.spread, self.quantities)
 
     @abstractmethod
     def innovations(self, z: Array) -> tuple[Array, Array]:

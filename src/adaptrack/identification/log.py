@@ -21,8 +21,8 @@ from scipy.ndimage import rank_filter
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
 LOG_SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel")
@@ -229,13 +229,7 @@ def _without_stuck(time: Array, data: dict[str, Array], wheelbase: float, notes:
 
 
 def require_columns(columns: Mapping[str, Array], *names: str) -> None:
-    """Check that columns exist and hold numbers.
-
-    Raises
-    ------
-    InvalidInput
-        When one does not; the message names the option that mends it.
-    """
+    """Raise `InvalidInput` where a column does not exist or holds no number; it names the option that mends it."""
     for name in names:
         if name not in columns:
             raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
@@ -297,20 +291,15 @@ def window_mean(time: Array, values: Array, half: float = 0.5) -> Array:
 
 def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, notes: list[str]) -> Log:
     """Segments between gaps and halts; those that are too short are left out."""
-    usable = np.isfinite(data["command"]) & np.isfinite(data["speed"])
-    driving = usable & (np.nan_to_num(data["speed"]) > MIN_LOG_SPEED)
+    driving = np.isfinite(data["command"]) & np.isfinite(data["speed"]) & (data["speed"] > MIN_LOG_SPEED)
     if not driving.any():
         raise InvalidInput(f"log: the car never drives faster than {MIN_LOG_SPEED:g} m/s: its steering shows nothing.")
     rows = np.flatnonzero(driving)
-    begins = np.ones(rows.size, bool)
-    begins[1:] = (np.diff(rows) > 1) | (np.diff(time[rows]) > gap)
-    number = np.cumsum(begins) - 1
-    first = np.flatnonzero(begins)
-    last = np.append(first[1:], rows.size) - 1
-    long_enough = (time[rows[last]] - time[rows[first]]) >= LEAST_SEGMENT
-    is_kept = long_enough[number]
-    rows, begins = rows[is_kept], begins[is_kept]
-    seconds = float(np.sum((time[rows[1:]] - time[rows[:-1]])[~begins[1:]])) if rows.size else 0.0
+    pieces = np.split(rows, np.flatnonzero((np.diff(rows) > 1) | (np.diff(time[rows]) > gap)) + 1)
+    pieces = [piece for piece in pieces if time[piece[-1]] - time[piece[0]] >= LEAST_SEGMENT]
+    rows = np.concatenate([rows[:0], *pieces])
+    begins = np.isin(rows, [piece[0] for piece in pieces])
+    seconds = float(np.sum(np.diff(time[rows])[~begins[1:]]))
     if seconds < LEAST_DRIVEN:
         raise InvalidInput(
             f"log: {seconds:.3g} s of driving in pieces of {LEAST_SEGMENT:g} s and more: at least {LEAST_DRIVEN:g} s "

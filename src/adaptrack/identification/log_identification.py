@@ -23,7 +23,6 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import Finite, NotNegative, checked, within
@@ -31,7 +30,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.identification import consistency
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
 from adaptrack.identification.estimates import estimates_of, moments_of, prior_of, slopes_at
@@ -41,8 +40,6 @@ from adaptrack.identification.likelihood import MEASURED_OUTPUTS, NEARLY, Fit, L
 from adaptrack.identification.log import noise_of
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, plain_car
 from adaptrack.identification.reading import Columns, Reading, Source, read_logs
-
-Array = NDArray[np.float64]
 
 VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""

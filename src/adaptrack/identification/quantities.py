@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.cars.vehicle import Vehicle, load_tyre
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
-
-Array = NDArray[np.float64]
 
 
 class Prior(NamedTuple):
@@ -73,11 +71,6 @@ def report_delay(
     ]
 
 
-def kinds_of(quantities: Sequence[Quantity]) -> NDArray[np.intp]:
-    """Kinds of quantities as numbers, for `values_of`."""
-    return np.array([("positive", "real", "share", "from zero").index(quantity.kind) for quantity in quantities])
-
-
 QUANTITIES = (
     Quantity("delay", "s", "from zero", "lag and dead time together", Prior(0.3, 0.7)),
     Quantity("lag_share", "-", "share", "the lag's share of the delay", Prior(0.5, 1.5)),
@@ -118,7 +111,6 @@ QUANTITIES = (
 )
 """All, in the order of the fit."""
 INDEX = {quantity.name: i for i, quantity in enumerate(QUANTITIES)}
-_KINDS = kinds_of(QUANTITIES)
 
 AXLE_OVER_LOAD = 11.0
 """1/rad, cornering stiffness of an axle over its load where nothing is known of the tyres."""
@@ -133,18 +125,18 @@ DISTURBANCES = {quantity.name: quantity.prior for quantity in QUANTITIES if quan
 """What is believed of steering, sensors and weather: wide enough for any car on a road."""
 
 
-def values_of(z: Array, median: Array, spread: Array, kinds: NDArray[np.intp] = _KINDS) -> Array:
+def values_of(z: Array, median: Array, spread: Array, quantities: Sequence[Quantity] = QUANTITIES) -> Array:
     """The quantities of a point z (in spreads from the medians), in their units; all of one shape."""
-    moved = spread * z
-    share = np.where(kinds == 2, median, 0.5)
+    moved, kinds = spread * z, np.array([quantity.kind for quantity in quantities])
+    share = np.where(kinds == "share", median, 0.5)
     logit = portable.log(share / (1.0 - share))
-    is_linear = (kinds == 3) & (moved < 0.0)
+    is_linear = (kinds == "from zero") & (moved < 0.0)
     tail = np.minimum(moved + 1.0 - LEAST_LINEAR, 0.0) / LEAST_LINEAR
     factor = np.where(is_linear, np.maximum(1.0 + moved, LEAST_LINEAR), 1.0)
-    is_positive = (kinds == 0) | (kinds == 3)
+    is_positive = (kinds == "positive") | (kinds == "from zero")
     return np.where(
         is_positive, median * factor * portable.exp(np.where(is_linear, tail, np.where(is_positive, moved, 0.0))),
-        np.where(kinds == 1, median + moved, 1.0 / (1.0 + portable.exp(-(logit + moved)))),
+        np.where(kinds == "real", median + moved, 1.0 / (1.0 + portable.exp(-(logit + moved)))),
     )  # fmt: skip
 
 

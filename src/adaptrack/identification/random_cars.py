@@ -96,9 +96,8 @@ def random_car(
     base = bases[seed % len(bases)]
     car = load_vehicle(base)
     tyre = load_tyre(car.tyre)
-    mass, stiffness, ratio, noise = (
-        factor(interval) for interval in (ranges.mass, ranges.stiffness, ranges.front_to_rear, ranges.noise)
-    )
+    mass, stiffness, ratio = factor(ranges.mass), factor(ranges.stiffness), factor(ranges.front_to_rear)
+    noise = factor(ranges.noise)
     steering = {name: float(rng.uniform(*getattr(ranges, name))) for name in STEERING_QUANTITIES}
     tyre = tyre.replace(
         name=f"{tyre.name}-{seed}",

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
 from adaptrack.identification.log import HOLE_PERIODS, LEAST_GAP, find_samples, hold_values, unwrapped
 from adaptrack.scenario.profile import list_profiles, load_profile
 
-Array = NDArray[np.float64]
 CellArray = NDArray[Any]
 """(n,) float64, whole numbers, datetime64[ns], or text where most cells are no numbers."""
 Source = str | os.PathLike[str] | Mapping[str, object]
@@ -404,23 +403,18 @@ def _plain(column: str) -> tuple[str, str]:
 
 def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
     """Signal -> column: those that are given, then those whose name is known."""
-    mapping: dict[str, str] = {}
-    for signal, column in reading.columns.items():
+    for column in reading.columns.values():
         if column not in table:
             raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table)}")
-        mapping[signal] = column
-    notes: list[str] = []
+    mapping, notes = dict(reading.columns), list[str]()
     plain = {column: _plain(column)[0] for column in table}
     for signal, (_, names) in SIGNAL_COLUMNS.items():
-        if signal in mapping:
-            continue
-        for name in names:
-            match = [c for c in table if plain[c] == name and c not in mapping.values()]
-            if match:
-                mapping[signal] = match[0]
-                if match[0] != signal:
-                    notes.append(f"guessed: {signal} is the column {match[0]!r}")
-                break
+        unused = [column for column in table if signal not in mapping and column not in mapping.values()]
+        match = next((column for name in names for column in unused if plain[column] == name), None)
+        if match is not None:
+            mapping[signal] = match
+            if match != signal:
+                notes.append(f"guessed: {signal} is the column {match!r}")
     if "wheel" in mapping and "steering_wheel" not in mapping and _AT_STEERING_WHEEL.search(plain[mapping["wheel"]]):
         mapping["steering_wheel"] = mapping.pop("wheel")
     return mapping, notes

@@ -43,7 +43,7 @@ from adaptrack.core.estimators import kalman
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import SHORTEST_LAG
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.models.path import PATH_STATES, discretise_disturbed
 from adaptrack.core.roads.road import nearest
@@ -57,7 +57,6 @@ from adaptrack.road import Road, fit_road, load_road
 from adaptrack.road.road_ahead import RoadAhead, foot_near
 from adaptrack.scenario.profile import Profile, load_profile
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 INTERVAL_BLOCK = 10.0

@@ -12,7 +12,6 @@ import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import Finite, checked, real, within
 from adaptrack.base.errors import InvalidInput
@@ -20,14 +19,13 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LearnedCar
 from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED, STIFFNESS_BOUND
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
 from adaptrack.identification.estimates import slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import LONGEST_PERIOD, Log
 from adaptrack.identification.log_identification import START_DELAYS, starting_point
 from adaptrack.identification.quantities import QUANTITIES, Prior, beliefs_of, report_delay
-
-Array = NDArray[np.float64]
 
 MIN_TEST_SPEED, MAX_TEST_SPEED = 1.5, 3.0
 """m/s, between which the yaw rate shows the wheels; with a wheel-angle sensor the car may also be slower, or stand."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from adaptrack.analysis.feasibility import Feasibility
@@ -31,6 +31,7 @@ from adaptrack.control import scheduling
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.scheduling import Schedule, SchedulingVariables, StabilityMap, load_scheduler
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.paper.campaign import run_campaign, software_versions, tuned_mpc
 from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan
@@ -41,8 +42,6 @@ from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings, minimise
 from adaptrack.tuning.runs import Indices, RunSet, operating_point_runs, random_drive_runs
-
-Array = NDArray[np.float64]
 
 # -- the task: car, plant and controller of a campaign, and the runs to learn from ------------------------------------
 LEARNING_SEED = 1
@@ -417,13 +416,7 @@ def best_constant(runs: RunSet, tunings: int = Effort().constant_tunings) -> Arr
 
 
 def safe_constant(runs: RunSet, stability: StabilityMap) -> Tuning:
-    """The cheapest of the map's tunings far from instability that fail in hardly any of the hard drives.
-
-    Raises
-    ------
-    InvalidInput
-        As `safe_candidates`.
-    """
+    """The cheapest of the `safe_candidates` that fail in hardly any of the hard drives; errors as those."""
 
     def judge(rows: Array, count: int) -> tuple[Indices, Array]:
         """Failures and mean log cost of each tuning, on the first `count` runs."""

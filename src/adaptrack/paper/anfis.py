@@ -31,9 +31,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
 from adaptrack.control.scheduling.functions import BELL_CENTRE, BELL_SLOPE, BELL_WIDTH, Sugeno, bell_exponent, distance
 from adaptrack.core.maths import portable
-from adaptrack.paper.regressor import Regressor, Samples, mean
-
-Array = NDArray[np.float64]
+from adaptrack.core.maths.portable import Array
+from adaptrack.paper.regressor import Regressor, Samples
 
 # -- partitions of the input space ------------------------------------------------------------------------------------
 RuleIndices = NDArray[np.intp]
@@ -291,9 +290,9 @@ class _Scaling(NamedTuple):
     @classmethod
     def of(cls, samples: Samples) -> _Scaling:
         x, y, weight = samples
-        centre = float(mean(y, weight))
+        centre = float(np.average(y, weights=weight))
         half = np.ptp(x, axis=0) / 2.0
-        spread = float(y.std() if weight is None else math.sqrt(mean(portable.square(y - centre), weight)))
+        spread = math.sqrt(np.average(portable.square(y - centre), weights=weight))
         small = spread <= 1e-14 * max(1e-300, float(np.abs(y).max()))  # a constant, but for the rounding of its mean
         middle = x.min(axis=0) + half
         return cls(middle, np.where(half > 0.0, half, 1.0), centre, 1.0 if small else spread)
@@ -438,7 +437,7 @@ class ANFIS(Regressor):
         """Without the rules that hardly fire; the strongest rule stays in any case."""
         if self.prune == 0.0:
             return system
-        mass = mean(system.strengths(rows.x), rows.weight)
+        mass = np.average(system.strengths(rows.x), axis=0, weights=rows.weight)
         is_strong = mass >= min(self.prune, float(mass.max()))
         return system if is_strong.all() else system.keep(is_strong)
 

@@ -38,12 +38,11 @@ from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.control.controllers import MPC, Tuning, published_mpc
 from adaptrack.core.library import kernels_hash
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.campaign_config import STANDARD_ROW, CampaignConfig, CampaignPlan, Setup
 from adaptrack.paper.data_set import DataSet
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.objective import Objective, PointTuning
-
-Array = NDArray[np.float64]
 
 # -- workers of a cluster ---------------------------------------------------------------------------------------------
 DASK_TIMEOUT = 5.0

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.checked import checked
@@ -28,12 +27,11 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fi
 from adaptrack.cars.vehicle import Tyre, Vehicle, find_data, is_path, list_data, load_tyre, load_vehicle
 from adaptrack.control.controllers import Tuning
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, FailureLimits
 from adaptrack.paper.operating_points import Fold, OperatingPoints, Seed, fold, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
 from adaptrack.tuning.pso import SearchBounds, SwarmSettings
-
-Array = NDArray[np.float64]
 
 _log = logging.getLogger("adaptrack")
 

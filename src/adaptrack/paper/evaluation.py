@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.comparison.compare import Contender, compare
 from adaptrack.comparison.table import Comparison
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation
 from adaptrack.paper.adaptation import FAILURE, LearningTask, Schedules
@@ -25,7 +25,6 @@ from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import make_perception, operating_point_runs, paper_test_runs, random_drive_runs
 
-Array = NDArray[np.float64]
 BEST_CONSTANT, DRIVE_CONSTANT, POINT_OPTIMUM = "best constant", "best constant on drives", "optimum"
 PERCEIVING = (BEST_CONSTANT, "nn", "anfis", POINT_OPTIMUM)
 """Contenders that are repeated where friction and wind are not known exactly, with those they are compared with."""

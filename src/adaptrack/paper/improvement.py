@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput, did_you_mean
@@ -26,10 +25,9 @@ from adaptrack.control.controllers import Tuning
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling import Function, Learned, Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.surfaces import Surface
 from adaptrack.tuning.runs import Indices, RunSet
-
-Array = NDArray[np.float64]
 
 # -- the landscape around a schedule ----------------------------------------------------------------------------------
 LEARNED_OUTPUTS = ("Np", "Nc", "log10_ratio")

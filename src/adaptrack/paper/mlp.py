@@ -15,7 +15,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
@@ -25,9 +25,8 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import Count, Positive
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import Network
-from adaptrack.paper.regressor import Regressor, Samples, mean
-
-Array = NDArray[np.float64]
+from adaptrack.core.maths.portable import Array
+from adaptrack.paper.regressor import Regressor, Samples
 
 MLP_SOLVERS = {"momentum": "sgd", "adam": "adam", "lbfgs": "lbfgs"}
 """Our names, and scikit-learn's."""
@@ -112,7 +111,8 @@ class MLP(Regressor):
         self.best_epoch_ = int(self.history_["epoch"][np.argmin(decisive)])
         self.n_iter_ = int(self.history_["epoch"][-1])
         linear = replace(self.network_, relu=False)
-        self.dead_share_ = float(mean(self.network_.predict(rows.x) != linear.predict(rows.x), rows.weight))
+        is_dead = self.network_.predict(rows.x) != linear.predict(rows.x)
+        self.dead_share_ = float(np.average(is_dead, weights=rows.weight))
         return self
 
     def predict(self, X: ArrayLike) -> Array:

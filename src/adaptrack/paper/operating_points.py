@@ -18,9 +18,9 @@ from adaptrack.base.checked import Count, Natural, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record
 from adaptrack.core.kernel import Field
+from adaptrack.core.maths.portable import Array
 from adaptrack.tuning.pso import Pair
 
-Array = NDArray[np.float64]
 IntegerArray = NDArray[np.int64]
 
 

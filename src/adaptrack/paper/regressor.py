@@ -14,8 +14,8 @@ from sklearn.utils.validation import check_array, check_consistent_length, valid
 from adaptrack.base.checked import check_parameters
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
-Array = NDArray[np.float64]
 RowNumbers = NDArray[np.int64]
 
 
@@ -43,11 +43,6 @@ def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array 
             f"{model}: sample_weight: a weight is negative, or all are zero: give none below 0 and one above."
         )
     return np.asarray(weight, dtype=np.float64)
-
-
-def mean(values: Array, weight: Array | None) -> Any:
-    """Down the rows of values (n, ...), each counting by its weight."""
-    return values.mean(axis=0) if weight is None else np.average(values, axis=0, weights=weight)
 
 
 def held_out(model: str, n: int, fraction: float, rng: np.random.RandomState) -> tuple[RowNumbers, RowNumbers]:
@@ -78,7 +73,7 @@ class Samples(NamedTuple):
 
     def rmse(self, function: Any) -> float:
         """Root mean square error of the output of a network or a fuzzy system on these samples."""
-        return math.sqrt(float(mean(portable.square(function.predict(self.x) - self.y), self.weight)))
+        return math.sqrt(np.average(portable.square(function.predict(self.x) - self.y), weights=self.weight))
 
 
 class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]

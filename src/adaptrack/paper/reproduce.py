@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
@@ -29,6 +28,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
 from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables, load_scheduler
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PAPER_MSE, compute_metrics, published_mse
@@ -39,8 +39,6 @@ from adaptrack.paper.operating_points import POINT_NAMES
 from adaptrack.paper.training import search_bounds, train, trained_schedule
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scenario.profile import load_profile
-
-Array = NDArray[np.float64]
 
 Row = dict[str, Any]
 
@@ -205,13 +203,7 @@ def best_of_library(dataset: DataSet) -> BestConstant:
 
 
 def grid_lookup(dataset: DataSet) -> Schedule:
-    """A table of the best tunings found, interpolated between the operating points, which must fill a grid.
-
-    Raises
-    ------
-    InvalidInput
-        When they do not.
-    """
+    """A table of the best tunings found, between the operating points; `InvalidInput` where these fill no grid."""
     nodes, places = zip(*(np.unique(column, return_inverse=True) for column in dataset.operating_points.T), strict=True)
     sizes = tuple(map(len, nodes))
     if not len(dataset) == math.prod(sizes) == np.unique(np.ravel_multi_index(places, sizes)).size:

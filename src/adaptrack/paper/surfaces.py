@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from adaptrack.control.scheduling.functions import BELL_SLOPE, BELL_WIDTH, Function, Network, Sugeno
 from adaptrack.core.maths import portable
-
-Array = NDArray[np.float64]
+from adaptrack.core.maths.portable import Array
 
 HIDDEN_NEURONS = (16, 8)
 """As in the paper's networks."""
@@ -91,11 +89,8 @@ class NetworkSurface(Surface):
             for p, g, m, v in zip(parameters, gradients, first, second, strict=True):
                 m += 0.1 * (g - m)
                 v += 0.01 * (g * g - v)
-                p -= (
-                    rate
-                    * (m / (1.0 - portable.power(0.9, epoch)))
-                    / (np.sqrt(v / (1.0 - portable.power(0.99, epoch))) + 1e-10)
-                )
+                mean, mean_square = m / (1.0 - portable.power(0.9, epoch)), v / (1.0 - portable.power(0.99, epoch))
+                p -= rate * mean / (np.sqrt(mean_square) + 1e-10)
         return replace(self, network=replace(net, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2])))
 
     def average(self, surfaces: Sequence[Self]) -> Self:
@@ -153,17 +148,15 @@ class FuzzySurface(Surface):
         premises[:, BELL_WIDTH] = (near[:, None] * half * RULE_WIDTH).ravel()
         premises[:, BELL_SLOPE] = 1.0
         premises[:, 2] = (centres * half + low).ravel()
-        consequents = np.zeros((rules, inputs + 1))
-        consequents[:, -1] = value
         system = Sugeno(
             owner=np.tile(np.arange(inputs), rules),
             bell=np.zeros(rules * inputs, dtype=bool),
             premises=premises,
             rules=np.arange(rules * inputs).reshape(rules, inputs),
-            consequents=consequents,
+            consequents=np.zeros((rules, inputs + 1)),
             weights=np.ones(rules),
         )
-        return cls(system, half)
+        return cls(system, half).level(value)
 
     def level(self, value: float) -> FuzzySurface:
         """Return these rules with the output `value` everywhere."""

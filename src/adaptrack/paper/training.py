@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from adaptrack.base.checked import checked
@@ -23,12 +22,11 @@ from adaptrack.control.controllers import ENTRIES
 from adaptrack.control.controllers.compatibility import INCREMENTAL
 from adaptrack.control.scheduling import Learned, Network, Schedule, Sugeno
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.anfis import ANFIS
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.mlp import MLP
 from adaptrack.paper.operating_points import POINT_NAMES, canonical, fold
-
-Array = NDArray[np.float64]
 
 MODEL_CLASSES: dict[str, type[MLP] | type[ANFIS]] = {"nn": MLP, "anfis": ANFIS}
 

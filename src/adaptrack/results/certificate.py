@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,11 @@ from numpy.typing import NDArray
 from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep
 from adaptrack.analysis.stability import Margins
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
-from adaptrack.control.scheduling import SchedulingVariables
+from adaptrack.control.scheduling import VARIABLES, SchedulingVariables
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.results import marks
-from adaptrack.results.words import INPUT_LABELS, number
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
+from adaptrack.results.words import number
 
 THIN_MODULUS = 0.25
 """Modulus margin below which an answer calls it thin; textbooks ask for at least 0.5."""
@@ -160,7 +156,7 @@ def _unstable(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
 def _worst(certificate: Certificate) -> ResultTable:
     names = SchedulingVariables._fields
     varied = [
-        Column(name, *label, 3) for name, label in INPUT_LABELS.items()
+        Column(name, variable.label, variable.unit, 3) for name, variable in VARIABLES.items()
         if name not in ("speed", "friction") and np.ptp(certificate.points[:, names.index(name)]) > 0.0
     ]  # fmt: skip
     rows = [
@@ -178,12 +174,10 @@ def _worst(certificate: Certificate) -> ResultTable:
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
 def _modulus(certificate: Certificate, least: float) -> Picture:
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         dots: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(certificate.speeds) < 12 else {}
         for driving, stroke in _STROKES.items():
-            margin = certificate.cells(getattr(certificate.counted, driving).modulus_margin).reshape(
-                len(certificate.speeds), -1
-            )
+            margin = getattr(certificate.counted, driving).modulus_margin.reshape(len(certificate.speeds), -1)
             low, high = margin.min(axis=1), margin.max(axis=1)
             axes.fill_between(certificate.speeds, low, high, color=stroke["color"], **marks.BAND)
             axes.plot(certificate.speeds, low, **stroke, **dots)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from adaptrack.control.controllers import about_controller
 from adaptrack.core.maths import portable
 from adaptrack.results import marks
 from adaptrack.results.words import counted, data_text, listed, number, slug, span
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _OURS, _PAPERS_COLOUR, _OTHERS = marks.SERIES[0], marks.SERIES[1], marks.MUTED
 """Colours of our controllers, the paper's, and all others."""
@@ -234,7 +231,7 @@ def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
     return Picture("work", "", panels, (), "work.png", 2, 3.0)
 
 
-def _draw_work(axes: Axes, rows: Sequence[Row]) -> None:
+def _draw_work(axes: marks.Axes, rows: Sequence[Row]) -> None:
     rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
     for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
         colour, at_left = contender_colour(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
@@ -275,7 +272,7 @@ def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[s
     rows = [(contender, 3.6 * np.array(list(cars.values()))) for contender, cars in speeds.items()]
     rows.sort(key=lambda row: -float(np.mean(row[1])))
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         for place, (contender, values) in enumerate(rows):
             colour, mean = contender_colour(table.role(contender).controller), float(values.mean())
             axes.plot(values, np.full(len(values), place), "o", color=colour, markersize=3.5, alpha=0.6, zorder=5)

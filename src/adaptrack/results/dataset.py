@@ -6,22 +6,18 @@ Statistics are over the operating points that a swarm searched, as in `data_set_
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet, describe
 from adaptrack.results import marks
 from adaptrack.results.words import number, span
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 BINS = 12
 """Bins along an axis whose values are not levels."""
@@ -149,7 +145,7 @@ def histogram(target: TuningTarget) -> Panel:
         edges = np.linspace(low, high + 1e-9, BARS + 1)
     counts, _ = np.histogram(target.values, edges)
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         shares = 100.0 * counts / target.values.size
         axes.bar((edges[:-1] + edges[1:]) / 2.0, shares, 0.9 * np.diff(edges), color=marks.SERIES[0])
         axes.grid(False, axis="x")
@@ -168,7 +164,7 @@ def gain_panel(rows: DataSet) -> Panel:
     middles = [float(np.median(speed[members])) for members in by_bin]
     low, median, high = np.array([np.quantile(gain[members], (0.25, 0.5, 0.75)) for members in by_bin]).T
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         axes.axhline(1.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
         axes.fill_between(middles, low, high, color=marks.SERIES[0], **marks.BAND)
         axes.plot(middles, median, color=marks.SERIES[0], marker="o", markersize=3.5)

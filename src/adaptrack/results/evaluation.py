@@ -8,19 +8,18 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, best_entries, select_entries, strict
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison
-from adaptrack.control.scheduling import Schedule, SchedulingVariables
+from adaptrack.control.scheduling import VARIABLES, Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.compare import ratios_picture
 from adaptrack.results.marks import ColourScale, speed_map
-from adaptrack.results.words import INPUT_LABELS, counted, data_text, number, plain, span, title_of
+from adaptrack.results.words import counted, data_text, number, plain, span, title_of
 
-Array = NDArray[np.float64]
 Views = Mapping[str, Mapping[str, Comparison]]
 """Comparisons on "operating points" and "drives" by the knowledge of friction and wind ("exact", "noisy", ...), and on
 "tests" by the test."""
@@ -175,11 +174,11 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     for k, (symbol, unit) in enumerate(OUTPUT_LABELS):
         scale = shared_scale([surface[..., k] for surface in surfaces.values()], integer=k < 2)
         for name, schedule in schedules.items():
-            label, input_unit = INPUT_LABELS[schedule.inputs[1]]
+            axis = VARIABLES[schedule.inputs[1]]
             title, cells = f"{data_text(contender_label(name))}: {symbol} ({unit})", surfaces[name][..., k]
-            words = f"{plain(symbol)} over speed and {label.lower()}: {span(cells)}."
+            words = f"{plain(symbol)} over speed and {axis.label.lower()}: {span(cells)}."
             edges = schedule.domain[:2]
-            panels.append(speed_map(title, edges, cells, scale, f"{label} ({input_unit})", words, image=True))
+            panels.append(speed_map(title, edges, cells, scale, f"{axis.label} ({axis.unit})", words, image=True))
     columns = len(schedules) if len(schedules) > 1 else len(OUTPUT_LABELS)
     return Picture("surfaces", "", panels, file="surfaces.png", columns=columns, row_height=2.1)
 

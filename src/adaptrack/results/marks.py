@@ -17,7 +17,7 @@ from adaptrack.core.maths import portable
 from adaptrack.results.words import data_text, legible, number
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes  # other modules name this type without loading matplotlib
     from matplotlib.colors import Colormap
     from matplotlib.ticker import FixedLocator
     from numpy.typing import ArrayLike, NDArray
@@ -171,40 +171,31 @@ def edges_around(levels: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[levels[0] - first], middles, [levels[-1] + last]])
 
 
-def draw_heat_map(
-    axes: Axes, x_edges: ArrayLike, y_edges: ArrayLike, values: ArrayLike, scale: ColourScale, *, image: bool = False
-) -> None:
-    """Colour the cells of a grid by values (y cells, x cells), NaN where there is none, and add the scale's bar.
-
-    image: whether to draw one image of equal cells, which stays a small file for a fine grid.
-    """
-    from matplotlib.ticker import MaxNLocator
-
-    x, y, cells = (np.asarray(array, dtype=float) for array in (x_edges, y_edges, values))
-    if image:
-        box = (x[0], x[-1], y[0], y[-1])
-        axes.imshow(cells, aspect="auto", interpolation="none", origin="lower", extent=box, **scale.look)
-    else:
-        edge: dict[str, Any] = {"edgecolor": "face", "linewidth": 0.3, "antialiased": True}
-        axes.pcolormesh(x, y, np.ma.masked_invalid(cells), **scale.look, **edge)
-    axes.grid(False)
-    axes.margins(0.0)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=TICK_STEPS))
-    _add_bar(axes, scale)
-
-
 def speed_map(
     title: str, edges: Sequence[ArrayLike] | NDArray[np.float64], cells: ArrayLike, scale: ColourScale, label: str,
     words: str, *, image: bool = False, crosses: tuple[ArrayLike, ArrayLike] = ((), ()),
 ) -> Panel:  # fmt: skip
-    """A panel of values over the speed and a second quantity; arguments as for `draw_heat_map`.
+    """A panel of values over the speed and a second quantity, with the scale's bar.
 
-    edges: of the cells along the speed (m/s) and the second quantity; label: of the latter; words: description for
-    screen readers; crosses: speeds and values of the second quantity that are marked.
+    edges: of the cells along the speed (m/s) and the second quantity; cells: values (second quantity, speeds), NaN
+    where there is none; label: of the second quantity; words: description for screen readers; image: whether to draw
+    one image of equal cells, a small file for a fine grid; crosses: marked speeds and values of the second quantity.
     """
+    x, y, values = (np.asarray(array, dtype=float) for array in (edges[0], edges[1], cells))
 
     def draw(axes: Axes) -> None:
-        draw_heat_map(axes, edges[0], edges[1], cells, scale, image=image)
+        from matplotlib.ticker import MaxNLocator
+
+        if image:
+            box = (x[0], x[-1], y[0], y[-1])
+            axes.imshow(values, aspect="auto", interpolation="none", origin="lower", extent=box, **scale.look)
+        else:
+            edge: dict[str, Any] = {"edgecolor": "face", "linewidth": 0.3, "antialiased": True}
+            axes.pcolormesh(x, y, np.ma.masked_invalid(values), **scale.look, **edge)
+        axes.grid(False)
+        axes.margins(0.0)
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=TICK_STEPS))
+        _add_bar(axes, scale)
         look: dict[str, Any] = {"color": SERIES[1], "markersize": 4.5, "markeredgewidth": 1.5, "zorder": 5}
         axes.plot(*crosses, "x", scalex=False, scaley=False, **look)
         axes.set(xlabel="Speed (m/s)", ylabel=label)

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.comparison.table import Comparison
-from adaptrack.control.scheduling import Schedule
+from adaptrack.control.scheduling import VARIABLES, Schedule
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.data_set import DataSet
@@ -29,8 +28,6 @@ from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, on_ro
 from adaptrack.results.run_pictures import tracking_picture
 from adaptrack.results.style import panel_figure, print_figure
 from adaptrack.road import Road
-
-Array = NDArray[np.float64]
 
 
 @singledispatch
@@ -67,7 +64,7 @@ def html_of(value: Any) -> str:
     picture = "" if is_empty else base64.b64encode(style.png(figure_of(value))).decode()
     metrics = compute_metrics(value) if isinstance(value, Trajectory) else value
     template = make_environment().get_template("notebook.html.j2")
-    return template.render(form=form, value=value, metrics=metrics, picture=picture, inputs=words.INPUT_LABELS)
+    return template.render(form=form, value=value, metrics=metrics, picture=picture, inputs=VARIABLES)
 
 
 # -- runs -------------------------------------------------------------------------------------------------------------
@@ -120,9 +117,9 @@ def schedule_figure(schedule: Schedule) -> Figure:
     levels = np.linspace(low[1], high[1], 3) if second else np.zeros(1)
     points = np.tile((low + high) / 2.0, (200, 1))
     points[:, 0] = x = np.linspace(low[0], high[0], 200)
-    label, unit = words.INPUT_LABELS[first]
+    label = VARIABLES[first].label
     level_strokes = marks.strokes(
-        f"{words.INPUT_LABELS[name][0]} {words.number(float(level))}" for name in second for level in levels
+        f"{VARIABLES[name].label} {words.number(float(level))}" for name in second for level in levels
     )
     tunings = []
     for level in levels:
@@ -132,7 +129,7 @@ def schedule_figure(schedule: Schedule) -> Figure:
     def draw(axes: Axes, k: int, log: bool) -> None:
         for tuning, stroke in zip(tunings, list(level_strokes.values()) or [{"color": marks.SERIES[0]}], strict=True):
             axes.plot(x, tuning[:, k], **stroke)
-        axes.set_xlabel(f"{label} ({unit})")
+        axes.set_xlabel(f"{label} ({VARIABLES[first].unit})")
         if log:
             marks.set_log_scale(axes, "y")
 

@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
@@ -23,6 +22,7 @@ from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.failure import Failed, find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
@@ -31,11 +31,6 @@ from adaptrack.results import marks
 from adaptrack.results.words import data_text, span
 from adaptrack.road import Road
 from adaptrack.road.road_ahead import foot_near
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -111,7 +106,7 @@ class DriveRecord:
             When fewer than two instants are finite.
         """
         placed = on_road(run, road)
-        finite = np.isfinite([read(placed) for read in REPLAYED_SIGNALS.values()]).all(axis=0)
+        finite = np.isfinite([read(placed) for read, _ in REPLAYED_SIGNALS.values()]).all(axis=0)
         end = int(finite.argmin()) if not finite.all() else len(run)
         if end < 2:
             raise InvalidInput("a drive along a road must have at least two instants with finite numbers.")
@@ -135,19 +130,20 @@ class DriveRecord:
         return float(np.abs(self.offset).max())
 
 
-REPLAYED_SIGNALS: dict[str, Callable[[Trajectory], Array]] = {
-    "time": lambda run: run.t,
-    "station": lambda run: run.road["station"],
-    "x": lambda run: run.X,
-    "y": lambda run: run.Y,
-    "yaw": lambda run: run.psi,
-    "speed": lambda run: run.vx,
-    "offset": lambda run: run.road["offset"],
-    "steering": lambda run: run.steering,
-    "command": lambda run: run.command,
-    "planned_speed": lambda run: run.road.get("planned_speed", run.v_ref),
+REPLAYED_SIGNALS: dict[str, tuple[Callable[[Trajectory], Array], float]] = {
+    "time": (lambda run: run.t, 1e-3),
+    "station": (lambda run: run.road["station"], 1e-2),
+    "x": (lambda run: run.X, 1e-3),
+    "y": (lambda run: run.Y, 1e-3),
+    "yaw": (lambda run: run.psi, 1e-4),
+    "speed": (lambda run: run.vx, 1e-2),
+    "offset": (lambda run: run.road["offset"], 1e-3),
+    "steering": (lambda run: run.steering, 1e-4),
+    "command": (lambda run: run.command, 1e-4),
+    "planned_speed": (lambda run: run.road.get("planned_speed", run.v_ref), 1e-2),
 }
-"""Signals that the replay shows of a run on a road, (n,), in SI units and rad, positive to the left."""
+"""Signals that the replay shows of a run on a road, (n,), in SI units and rad, positive to the left, and the units to
+which they are rounded."""
 
 
 def on_road(run: Trajectory, road: Road) -> Trajectory:
@@ -257,7 +253,7 @@ def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> 
     return min(max(0.75 * width * y_range / max(x_range, 1.0) + 0.8, 0.45 * width), tallest)
 
 
-def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, ends: tuple[float, float]) -> None:
+def _draw_from_above(axes: marks.Axes, drive: DriveRecord, scale: marks.ColourScale, ends: tuple[float, float]) -> None:
     left, right = drive.road.edges(outline_stations(drive.road, *ends))
     surface = np.concatenate([left, right[::-1]])
     axes.fill(*surface.T, facecolor=marks.PALE, edgecolor="none", linewidth=0.6, zorder=1)
@@ -282,12 +278,6 @@ def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, e
 
 PERIOD = 0.05
 """s, between the samples of a replay, which joins them by straight lines; a record may be denser."""
-
-REPLAY_UNITS = {
-    "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
-    "command": 1e-4, "planned_speed": 1e-2,
-}  # fmt: skip
-"""The units to which `REPLAYED_SIGNALS` are rounded (s, m, rad, m/s)."""
 
 SPEED_SIGNALS = (
     "governed_speed", "longitudinal_acceleration", "grip_used", "friction_low", "friction_high", "friction",
@@ -377,8 +367,9 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
 
 def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     keep, shape = sample_indices(drive), drive.shape
-    columns = {name: read(drive.run) for name, read in REPLAYED_SIGNALS.items()}
-    columns |= {"yaw": np.unwrap(columns["yaw"])} | _speed_signals(drive.run)
+    columns = {name: (read(drive.run), unit) for name, (read, unit) in REPLAYED_SIGNALS.items()}
+    columns["yaw"] = np.unwrap(columns["yaw"][0]), columns["yaw"][1]
+    columns |= {name: (values, SPEED_SIGNAL_UNIT) for name, values in _speed_signals(drive.run).items()}
     return {
         "name": printable(label),
         "failed": None if drive.failure is None else drive.failure.time,
@@ -386,10 +377,7 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
             "front": shape.outline.front, "rear": shape.outline.rear, "width": shape.outline.width,
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
-        "columns": {
-            name: pack_column(values[keep], REPLAY_UNITS.get(name, SPEED_SIGNAL_UNIT))
-            for name, values in columns.items()
-        },
+        "columns": {name: pack_column(values[keep], unit) for name, (values, unit) in columns.items()},
         "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
     }  # fmt: skip
 

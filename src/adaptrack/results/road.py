@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from adaptrack.core.maths import portable
 from adaptrack.results import marks
 from adaptrack.results.words import data_text, length
 from adaptrack.road import Finding, Road, SpeedPlan
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 LINE_POINTS = 4000
 """Points of the drawn line."""
@@ -127,14 +124,14 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
     s = np.linspace(0.0, road.length, LINE_POINTS)
     barred = [finding for finding in findings if not finding.drivable]
 
-    def draw_along(axes: Axes, values: Any, label: str) -> None:
+    def draw_along(axes: marks.Axes, values: Any, label: str) -> None:
         axes.plot(s, values, color=marks.SERIES[0])
         for finding in barred:
             end = max(finding.end, finding.start + 0.003 * road.length)
             axes.axvspan(finding.start, end, color=marks.SERIES[1], alpha=0.3, linewidth=0.0)
         axes.set(xlabel="Distance along the road (m)", xlim=(0.0, road.length), ylabel=label)
 
-    def draw_speed(axes: Axes) -> None:
+    def draw_speed(axes: marks.Axes) -> None:
         draw_along(axes, plan.at(s), "Speed (m/s)")
         if road.speed_limit is not None:
             axes.plot(s, road.along("speed_limit", s), color=marks.MUTED, linestyle=marks.DASHED)
@@ -155,7 +152,7 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 
 
-def _draw_from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> None:
+def _draw_from_above(axes: marks.Axes, road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> None:
     points, speed = road.at(s), plan.at(s)
     for edge in road.edges(s):
         axes.plot(*edge.T, **marks.BACKGROUND_STROKE, linewidth=0.5)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,6 @@ from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import marks
 from adaptrack.results.words import capital, data_text, plain, span
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Array = NDArray[Any]
 Runs = Mapping[str, Trajectory]
@@ -98,11 +95,11 @@ _LIMIT = _columns("diagnostics", "limited_by")
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
-def _panel(title: str, label: str, lines: Lines, value: RunSignal, draw: Callable[[Axes], None]) -> Panel:
+def _panel(title: str, label: str, lines: Lines, value: RunSignal, draw: Callable[[marks.Axes], None]) -> Panel:
     """A panel over time or station; value: the quantity whose ranges stand in the alternative text."""
     along = any(line.run.road for line in lines)
 
-    def draw_over(axes: Axes) -> None:
+    def draw_over(axes: marks.Axes) -> None:
         axes.set(xlabel="Station s (m)" if along else "Time (s)", xlim=_x_limits(lines, along), ylabel=label)
         draw(axes)
 
@@ -124,7 +121,7 @@ def _signal(
     """One curve per run with the reference or else a zero line."""
     limits, start = _frame(lines, value)
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         if reference is None:
             axes.axhline(0.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
         for line in lines:
@@ -148,7 +145,7 @@ def error_panel(lines: Lines) -> Panel:
 def speed_panel(lines: Lines, title: str = "Speed", governed: bool = False) -> Panel:
     """The speed reference (dashed), the driven speeds, and those of the governor (dotted) if they are requested."""
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         for line in lines:
             _draw_curve(axes, line, line.run.vx)
         _draw_shared(axes, lines, lambda run: run.road.get("planned_speed", run.v_ref), marks.REFERENCE_STROKE)
@@ -162,7 +159,7 @@ def speed_panel(lines: Lines, title: str = "Speed", governed: bool = False) -> P
 
 
 def _assumed_friction(lines: Lines) -> Panel:
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         _draw_shared(axes, lines, lambda run: run.friction.mean(axis=1))
         for line in lines:
             interval = _ASSUMED_FRICTION(line.run)
@@ -181,7 +178,7 @@ def _limits_band(lines: Lines) -> Panel:
     limiting = np.unique(np.concatenate([_LIMIT(line.run) for line in lines]))
     rows = limiting[np.isfinite(limiting)].astype(int).tolist()
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         height = 0.8 / len(lines)
         for k, line in enumerate(lines):
             code = _LIMIT(line.run)
@@ -208,7 +205,7 @@ def _steering(lines: Lines) -> Panel:
     remark = "□ held" if holding else ""
     signal = _signal("Steering", "Wheel angle (rad)", lines, attrgetter("steering"), remark=remark)
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         if len(lines) == 1:
             command = {**marks.BACKGROUND_STROKE, "linewidth": 0.8, "drawstyle": "steps-post"}
             _draw_curve(axes, lines[0], lines[0].run.command, **command)
@@ -222,7 +219,7 @@ def _steering(lines: Lines) -> Panel:
 
 
 def _gust(lines: Lines) -> Panel:
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         axes.axhline(0.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
         _draw_shared(axes, lines, lambda run: run.wind[:, 1])
         if any(line.run.wind[:, 0].any() for line in lines):
@@ -236,7 +233,7 @@ def _friction(lines: Lines) -> Panel:
     dashes = ("-", marks.DASHED, marks.DOTTED, marks.DASH_DOT)
     wheels = _distinct_wheels(lines)
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         for (wheel, _), dash in zip(wheels, dashes, strict=False):
             stroke = {"color": marks.INK, "linestyle": dash}
             _draw_shared(axes, lines, lambda run, wheel=wheel: run.friction[:, wheel], stroke)  # type: ignore[misc]
@@ -247,7 +244,7 @@ def _friction(lines: Lines) -> Panel:
     return _panel("Road friction", "Friction coefficient (–)", lines, attrgetter("friction"), draw)
 
 
-def _draw_pair(axes: Axes, lines: Lines, solid: str, dotted: str) -> None:
+def _draw_pair(axes: marks.Axes, lines: Lines, solid: str, dotted: str) -> None:
     """Draw two tuning entries of an MPC, with their key."""
     _draw_tuning(axes, lines, solid)
     _draw_tuning(axes, lines, dotted, marks.DOTTED)
@@ -258,7 +255,7 @@ def _draw_pair(axes: Axes, lines: Lines, solid: str, dotted: str) -> None:
 def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         from matplotlib.ticker import MaxNLocator
 
         _draw_pair(axes, lines, "Np", "Nc")
@@ -277,7 +274,7 @@ def _weights(lines: Lines) -> Panel:
         low, high = np.floor(portable.log10(positive.min()) - 0.1), np.ceil(portable.log10(positive.max()) + 0.1)
         limits = portable.power(10.0, float(low)), portable.power(10.0, float(high))
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: marks.Axes) -> None:
         _draw_pair(axes, lines, "Q", "R")
         marks.set_log_scale(axes, "y", limits)
 
@@ -285,7 +282,7 @@ def _weights(lines: Lines) -> Panel:
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
-def _draw_curve(axes: Axes, line: DrawnRun, values: Array, **look: Any) -> None:
+def _draw_curve(axes: marks.Axes, line: DrawnRun, values: Array, **look: Any) -> None:
     """Draw a signal of a run over its horizontal axis; look: what differs from the stroke of the run."""
     keep = thin_curve(values)
     axes.plot(line.x[keep], values[keep], **{**line.stroke, **look})
@@ -309,20 +306,20 @@ def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
     return slice(first, int(ends[first]))
 
 
-def _draw_shared(axes: Axes, lines: Lines, value: RunSignal, stroke: marks.Stroke = marks.SHARED_STROKE) -> None:
+def _draw_shared(axes: marks.Axes, lines: Lines, value: RunSignal, stroke: marks.Stroke = marks.SHARED_STROKE) -> None:
     """Draw a signal of the scenario, which all runs share, from the longest run."""
     longest = max(lines, key=lambda line: len(line.run))
     _draw_curve(axes, longest, value(longest.run), **stroke, linewidth=1.0)
 
 
-def _draw_tuning(axes: Axes, lines: Lines, name: str, linestyle: Any = "-") -> None:
+def _draw_tuning(axes: marks.Axes, lines: Lines, name: str, linestyle: Any = "-") -> None:
     """Draw a tuning entry of all runs that have it, as steps."""
     for line in lines:
         if name in line.run.tuning:
             _draw_curve(axes, line, line.run.tuning[name], linestyle=linestyle, drawstyle="steps-post")
 
 
-def _draw_crosses(axes: Axes, lines: Lines, value: RunSignal) -> None:
+def _draw_crosses(axes: marks.Axes, lines: Lines, value: RunSignal) -> None:
     """Draw a cross where a failed run ends, at the edge of the frame if it left the frame."""
     for line in lines:
         values = value(line.run)
@@ -498,7 +495,7 @@ def learned_picture(runs: Runs, strokes: Strokes | None = None, name: str = "lea
     return Picture(name, "", panels, key, f"{name}.png", row_height=1.9)
 
 
-def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: str) -> None:
+def _draw_learned(axes: marks.Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: str) -> None:
     for line, learnt in curves:
         keep = thin_curve(learnt.mean)
         time = line.run.t[keep]

@@ -13,13 +13,9 @@ from numpy.typing import NDArray
 
 from adaptrack.base.presentation import printable
 from adaptrack.base.result import Column
-from adaptrack.control.scheduling.variables import VARIABLES
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN_SPACE = "\u202f"
-
-INPUT_LABELS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
-"""The label and unit of each scheduling variable."""
 
 
 def number(value: float | int | None, digits: int = 3) -> str:
@@ -84,13 +80,13 @@ def length(metres: float) -> str:
     return f"{metres:.3g} m" if metres < 1000.0 else f"{metres / 1000.0:.3g} km"
 
 
-def span(values: NDArray[Any], digits: int = 3, to: str = " to ") -> str:
+def span(values: NDArray[Any], digits: int = 3) -> str:
     """The common value of all, or "lowest to highest"."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return "–"
     low, high = (f"{bound + 0.0:.{digits}g}".replace("-", "−") for bound in (finite.min(), finite.max()))
-    return low if low == high else f"{low}{to}{high}"
+    return low if low == high else f"{low} to {high}"
 
 
 def listed(words: Sequence[str]) -> str:
@@ -98,10 +94,10 @@ def listed(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def few(names: Iterable[str], noun: str, most: int = 3) -> str:
-    """For a title: up to `most` names as a list, or else their number."""
+def few(names: Iterable[str], noun: str) -> str:
+    """For a title: up to three names as a list, or else their number."""
     shown_names = list(names)
-    return listed(shown_names) if 0 < len(shown_names) <= most else counted(len(shown_names), noun)
+    return listed(shown_names) if 0 < len(shown_names) <= 3 else counted(len(shown_names), noun)
 
 
 def counted(n: int, noun: str) -> str:

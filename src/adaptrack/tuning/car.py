@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.analysis.certify import Certificate, certify
 from adaptrack.analysis.feasibility import Feasibility, feasibility
@@ -27,12 +26,12 @@ from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import SearchBounds, Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet, random_drive_runs
 
-Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
 
 FIRST_SEARCH_DRIVE, FIRST_UNSEEN_DRIVE = 13_000_000, 13_500_000

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
@@ -21,6 +21,7 @@ from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC
 from adaptrack.control.controllers.base import Room
 from adaptrack.core.kernel import Resident
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.plants.contract import SLOTS
 from adaptrack.core.tuning import tune as kernel
 from adaptrack.drive.batch import Batch
@@ -30,7 +31,6 @@ from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet
 
-Array = NDArray[np.float64]
 _Trial = Callable[[Array, Array], tuple[Array, int]]
 """From tunings (n, 4), and the cost (n,) at which each may be stopped, to J (n,) and the control steps simulated."""
 

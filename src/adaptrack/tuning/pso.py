@@ -29,10 +29,9 @@ from adaptrack.base.files import LISTED, Record
 from adaptrack.control.controllers import ENTRIES, Controller, Tuning, TuningBounds
 from adaptrack.control.controllers.tuning import HORIZONS
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.tuning import swarm as kernel
 from adaptrack.core.tuning.swarm import decode
-
-Array = NDArray[np.float64]
 
 _Number = Annotated[Natural, Field(lt=2**63)]
 _LARGEST_WHOLE = 2**53  # every integer up to here is a double

@@ -31,6 +31,7 @@ from adaptrack.control.controllers.tuning import ENTRIES
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.drive.batch import Batch, interpreted_functions, sampled
 from adaptrack.drive.failure import FailureLimits
@@ -41,7 +42,6 @@ from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, 
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.profile import Profile, load_profile
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 PolicyArgument = Schedule | Tuning | Controller | Policy | ArrayLike
