@@ -42,13 +42,7 @@ class NewCar:
     stiffness_rear: float | None = option("C", "Stiffness of one rear tyre (N/rad), if known.", hidden=True)
 
     def estimate(self, name: str) -> at.Vehicle | None:
-        """Estimate a car from its data sheet; None without any value.
-
-        Raises
-        ------
-        InvalidInput
-            When mass or wheelbase is missing.
-        """
+        """Estimate a car from its data sheet, which needs mass and wheelbase; None without any value."""
         values = {key: getattr(self, key) for key in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
         values = {key: value for key, value in values.items() if value is not None}
         if self.mass is None and self.wheelbase is None:

@@ -97,12 +97,7 @@ class ControllerSettings:
 def make_controller(name: str, settings: ControllerSettings) -> tuple[str, at.Controller]:
     """Return the label and the controller of a name: an MPC or a registered controller.
 
-    Raises
-    ------
-    UnknownName
-        When no controller has this name.
-    InvalidInput
-        When the options contradict each other.
+    Raises UnknownName for a different name, and InvalidInput for options that contradict each other.
     """
     chosen = settings.moves or at.Moves.pulses()
     moves = {STANDARD_NAME: chosen, AS_WRITTEN: at.Moves.pulses(), AS_RELEASED: at.Moves.laguerre(0.95, chosen.terms)}
@@ -179,11 +174,6 @@ def certify_meeting(label: str, mpc: at.MPC, plant: Any, car: at.Vehicle, world:
 
     label: name of the schedule in messages; allowed: whether an unstable loop is only a warning. Schedules without a
     car, or for this car, are not certified.
-
-    Raises
-    ------
-    InvalidInput
-        When a loop is unstable when driving straight and `allowed` is False.
     """
     from adaptrack.control.controllers.compatibility import car_of
 
@@ -212,10 +202,7 @@ def _judge(
 ) -> None:
     """Certify a schedule or a tuning over the domain of a car and print the verdict; clause: start of the message.
 
-    Raises
-    ------
-    InvalidInput
-        When the loop is unstable when driving straight and `allowed` is False.
+    Raises InvalidInput if the loop is unstable when driving straight, unless that is allowed.
     """
     from adaptrack.analysis.certify import certify
     from adaptrack.analysis.stability import linear_twin

@@ -42,13 +42,7 @@ class ExportedController:
         return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed, assumed_friction=self.assumed_friction)
 
     def make_speed_control(self, car: at.Vehicle) -> at.SpeedControl | None:
-        """Make the speed control; None without --speed-control.
-
-        Raises
-        ------
-        InvalidInput
-            When a friction is assumed without it.
-        """
+        """Make the speed control; None without --speed-control, which an assumed friction needs."""
         friction = self.route.assumed_interval
         if self.speed_control:
             return at.SpeedControl(car) if friction is None else at.SpeedControl(car, friction=friction)
@@ -57,13 +51,7 @@ class ExportedController:
         return None
 
     def make(self, car: at.Vehicle, world: at.Profile, computation: float | None = None) -> at.Controller:
-        """Make the controller; computation: computation time (s), by default that of the profile.
-
-        Raises
-        ------
-        InvalidInput
-            When the options contradict each other.
-        """
+        """Make the controller; computation: computation time (s), by default that of the profile."""
         from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning, make_tuned
 
         if self.tuning is not None and (self.controller or self.scheduler):

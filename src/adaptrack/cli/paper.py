@@ -271,13 +271,7 @@ def evaluate(
 def _add_schedules(
     task: LearningTask, schedules: dict[str, at.Schedule], names: Sequence[str]
 ) -> dict[str, at.Schedule]:
-    """Add schedules by name or file, and check that all schedules were made for the task.
-
-    Raises
-    ------
-    InvalidInput
-        When a schedule was made for a different controller, car or profile, or when two have the same name.
-    """
+    """Add schedules by name or file; refuse equal names, and schedules for a different controller, car or profile."""
     profile, checked = at.load_profile(task.profile).name, dict(schedules)
     for name in names:
         schedule = at.load_scheduler(name)
