@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import reals, whole_number
+from adaptrack.base.checked import Array, reals, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
@@ -27,9 +27,6 @@ from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.failure import failure_of
 from adaptrack.drive.world import World
 from adaptrack.gym.task import Episode, Task
-
-Array = NDArray[np.float64]
-
 
 CLIP_DISTANCE = 100.0
 """m, bound of offsets and of the previewed reference in an observation."""

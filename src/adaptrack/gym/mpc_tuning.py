@@ -9,9 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from adaptrack.base.checked import reals, whole_number
+from adaptrack.base.checked import Array, reals, whole_number
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Controller, get_controller
 from adaptrack.core import public as core
@@ -20,7 +19,6 @@ from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.gym.environment import BELIEF_STATE, CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box, is_over
 from adaptrack.gym.task import Episode, Task
 
-Array = NDArray[np.float64]
 TUNING_PERIODS = 10
 """Default number of control periods between two actions."""
 VARIABLE_BOUNDS = {
