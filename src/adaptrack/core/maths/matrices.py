@@ -20,8 +20,7 @@ SWEEPS = 30
 def product(a, b, c):
     """C = A B: (m, k), (k, n), (m, n)."""
     for i in range(a.shape[0]):
-        for j in range(b.shape[1]):
-            c[i, j] = 0.0
+        c[i, :] = 0.0
         for k in range(a.shape[1]):
             factor = a[i, k]
             for j in range(b.shape[1]):
@@ -113,8 +112,7 @@ def triangularise(columns):
             for i in range(k, m):
                 columns[j, i] -= along * columns[k, i]
         columns[k, k] = -norm
-        for i in range(k + 1, m):
-            columns[k, i] = 0.0
+        columns[k, k + 1 :] = 0.0
 
 
 @exported(void(cube, cube, vector))
@@ -122,9 +120,7 @@ def write_spectral_radii(a, work, radii):
     """Write the spectral radius of each of n matrices (n, m, m), by squaring; they are overwritten. work: (2, m, m)."""
     m = a.shape[1]
     for matrix_number in range(a.shape[0]):
-        for i in range(m):
-            for j in range(m):
-                work[0, i, j] = a[matrix_number, i, j]
+        work[0, :, :] = a[matrix_number]
         logarithm, share = 0.0, 1.0
         for squaring in range(SQUARINGS):
             present, then = work[squaring % 2], work[(squaring + 1) % 2]
