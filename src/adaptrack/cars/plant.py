@@ -393,10 +393,7 @@ class SteppedPlant(_AnyPlant, ABC):
 def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
     """Equal integration steps of a control period (s), none longer than the plant's `longest_step`.
 
-    Raises
-    ------
-    InvalidInput
-        When that is no positive number, or they are more than `limits.MAX_STEPS`.
+    Raises InvalidInput when that is no positive number, or they are more than `limits.MAX_STEPS`.
     """
     where = f"Plant {plant.name!r}"
     longest = real(where, "longest_step", plant.longest_step)

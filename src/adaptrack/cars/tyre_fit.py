@@ -106,12 +106,7 @@ def fit_law(
     """The tyre, its friction and the offsets of the slip (rad) that are nearest to samples.
 
     Least squares of force over load, from `tyre` and `friction` on; free: of `FREE`, what is fitted beside shape,
-    curvature and friction.
-
-    Raises
-    ------
-    InvalidInput
-        When nothing fits.
+    curvature and friction. Raises InvalidInput when nothing fits.
     """
     from scipy.optimize import least_squares
 

@@ -43,10 +43,7 @@ def box(bounds: Sequence[tuple[float, float]]) -> spaces.Box:
 def check_action(action: Any, space: spaces.Box) -> Array:
     """Return an action as an array, clipped to the bounds of its space.
 
-    Raises
-    ------
-    InvalidInput
-        For an action that is not numeric, not finite or of a different shape than the space.
+    Raises InvalidInput for an action that is not numeric, not finite or of a different shape than the space.
     """
     values = reals("action", action)
     if values.shape != space.shape:

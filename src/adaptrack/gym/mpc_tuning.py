@@ -37,21 +37,9 @@ ENVIRONMENT_CONTROLLERS = ("informed", "informed-learning", "as-written")
 
 
 def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MPC:
-    """Return an MPC with preview of the road.
+    """Return an MPC of a car and a profile with preview of the road; scheduler: of the tuning; None: default tuning.
 
-    Parameters
-    ----------
-    kind
-        One of `ENVIRONMENT_CONTROLLERS`.
-    vehicle, profile
-        Car and profile for which the MPC is built.
-    scheduler
-        Scheduler of the tuning; None for the default tuning.
-
-    Raises
-    ------
-    UnknownName
-        When there is no such controller.
+    kind: one of `ENVIRONMENT_CONTROLLERS`; raises UnknownName for any other.
     """
     if kind not in ENVIRONMENT_CONTROLLERS:
         raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, ENVIRONMENT_CONTROLLERS)}")

@@ -143,10 +143,7 @@ class _PathTracking:
     ) -> tuple[spaces.Box, spaces.Box]:
         """Set task, distances and names of the columns; return the action and observation space of one car.
 
-        Raises
-        ------
-        InvalidInput
-            When a driver is given although the agent commands the acceleration.
+        Raises InvalidInput when a driver is given although the agent commands the acceleration.
         """
         if acceleration and "driver" in task:
             raise InvalidInput("driver: with acceleration=True the agent commands the speed: leave the driver out.")

@@ -68,10 +68,7 @@ class Shape(Record):
 def as_shape(value: Any) -> Shape:
     """Convert a number (to a constant) or a table of a scenario file to a shape; a shape is returned as it is.
 
-    Raises
-    ------
-    InvalidInput
-        When the value describes no shape; the message suggests the most similar shape or key.
+    Raises InvalidInput when the value describes no shape; the message suggests the most similar shape or key.
     """
     if isinstance(value, Shape):
         return value
