@@ -168,21 +168,9 @@ class _Argument(NamedTuple):
     """Returns the converted value; raises pydantic's `ValidationError`."""
 
     def check(self, value: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
-        """Return the validated value of this argument of a call.
+        """Return the validated value of this argument of a call of `function`, or raise InvalidInput, which names it.
 
-        Parameters
-        ----------
-        value
-            Value before validation.
-        function
-            Called function, named in the error message.
-        args
-            All positional arguments of the call, including `self` of a method.
-
-        Raises
-        ------
-        InvalidInput
-            When the annotation does not allow the value.
+        args: all positional arguments of the call, including `self` of a method.
         """
         try:
             return self.validate(value)
@@ -217,11 +205,8 @@ class _Argument(NamedTuple):
 def real(where: str, name: str, value: object, measured: bool = False) -> float:
     """Return a real number as a float; measured: whether NaN stands for a missing one, which the message says.
 
-    Raises
-    ------
-    InvalidInput
-        For a value that is no number, such as a Boolean or text, or that is too large for a float. The message begins
-        with `where` and `name`.
+    Raises InvalidInput, beginning with `where` and `name`, for a value that is no number, such as a Boolean or text, or
+    that is too large for a float.
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         remark = " (NaN if it was not measured)" if measured else ""
@@ -233,13 +218,7 @@ def real(where: str, name: str, value: object, measured: bool = False) -> float:
 
 
 def whole_number(where: str, name: str, value: object, least: int = 1) -> int:
-    """Return a whole number as an int.
-
-    Raises
-    ------
-    InvalidInput
-        For a value that is no whole number or is less than `least`. The message begins with `where` and `name`.
-    """
+    """Return a whole number >= `least` as an int; else raise InvalidInput, beginning with `where` and `name`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
         raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a whole number, at least {least}.")
     return int(value)
@@ -249,12 +228,8 @@ def reals(name: str, values: Any) -> Array:
     """Return numbers as a float64 array of the same shape.
 
     A masked entry becomes NaN. A number too large for float64 becomes infinity. A float64 array is returned without a
-    copy.
-
-    Raises
-    ------
-    InvalidInput
-        For values that are no real numbers, such as Booleans or text, and for rows of different lengths.
+    copy. Raises InvalidInput for values that are no real numbers, such as Booleans or text, and for rows of different
+    lengths.
     """
     if type(values) is np.ndarray and values.dtype is FLOAT:
         return values

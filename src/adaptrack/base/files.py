@@ -103,10 +103,7 @@ def is_text(text: str) -> bool:
 def check_texts(where: str, data: Any) -> None:
     """Refuse nested tables with a string that cannot be stored (see `is_text`), or with more than 64 levels.
 
-    Raises
-    ------
-    ConfigError
-        With `where` (usually a file) and the key.
+    The ConfigError begins with `where` (usually a file) and names the key.
     """
     waiting: list[tuple[str, Any, int]] = [("", data, 0)]
     while waiting:  # no recursion, since the number of levels may exceed Python's limit
@@ -251,12 +248,7 @@ def meanings(record: Record) -> dict[str, str]:
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the content of a TOML file.
 
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is not UTF-8 or not TOML; the message gives the line.
+    Raises StorageError when the file cannot be read, and ConfigError, with the line, when it is not UTF-8 or not TOML.
     """
     return _parsed(path, "TOML", tomllib.loads)
 
@@ -264,12 +256,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 def read_json(path: str | os.PathLike[str]) -> Any:
     """Return the content of a JSON file.
 
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is not UTF-8 or not JSON; the message gives the line.
+    Raises StorageError when the file cannot be read, and ConfigError, with the line, when it is not UTF-8 or not JSON.
     """
     return _parsed(path, "JSON", json.loads)
 
@@ -316,10 +303,7 @@ def _too_deep(text: str) -> int | None:
 def read_bytes(path: str | os.PathLike[str], most: int = MAX_FILE_SIZE) -> bytes:
     """Return the content of a plain file of at most `most` bytes.
 
-    Raises
-    ------
-    StorageError
-        When the file cannot be read; for a device, a pipe or a file that is too large, before anything is read.
+    Raises StorageError when it cannot be read; for a device, a pipe or a file that is too large, before it is read.
     """
     try:
         status = os.stat(path)
@@ -350,12 +334,8 @@ def table_lines(
 ) -> tuple[NumberedLines, NumberedLines]:
     """Return the lines of a text table, and its remarks (behind ``#``, ``%`` or ``//``) without their mark.
 
-    Empty lines, and the line ``sep=;`` of spreadsheets at the top, are left out.
-
-    Raises
-    ------
-    InvalidInput
-        For more than `TABLE_ROWS` lines, and for text that is not UTF-8 if `errors` is "strict".
+    Empty lines, and the line ``sep=;`` of spreadsheets at the top, are left out. Raises InvalidInput for more than
+    `TABLE_ROWS` lines, and for text that is not UTF-8 if `errors` is "strict".
     """
     check_limit(f"{where}: rows", content.count(b"\n"), TABLE_ROWS)
     try:
@@ -378,21 +358,10 @@ def _reason(error: Exception) -> str:
 
 
 def build(model_class: type[Model], data: Mapping[str, Any], where: str | os.PathLike[str]) -> Model:
-    """Return an object of a pydantic model, validated.
+    """Return an object of a pydantic model with the values `data` of its fields, validated.
 
-    Parameters
-    ----------
-    model_class
-        Class of the object.
-    data
-        Values of its fields by name.
-    where
-        Origin of the data, usually a file, at the beginning of every message.
-
-    Raises
-    ------
-    ConfigError
-        With all problems of the data, each with its key, its value and the accepted values.
+    Raises ConfigError with all problems of the data, each with its key, its value and the accepted values, behind
+    `where`, usually a file.
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {format_value(data)}.")
@@ -405,21 +374,10 @@ def build(model_class: type[Model], data: Mapping[str, Any], where: str | os.Pat
 def write_toml(
     path: str | os.PathLike[str], data: Mapping[str, Any], comments: Mapping[str, str] | None = None
 ) -> None:
-    """Write a TOML file atomically.
+    """Write values and nested tables by key as a TOML file, atomically: see `write_atomically`.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    data
-        Values and nested tables by key. None values are omitted, since TOML cannot represent them.
-    comments
-        Comment after a value, by key or "section.key", such as its unit.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be written; an existing file is then unchanged.
+    None values are omitted, since TOML cannot represent them. comments: comment after a value, by key or "section.key",
+    such as its unit.
     """
     write_atomically(path, dump_toml(data, comments).encode())
 
@@ -453,12 +411,9 @@ def _remarked(key: str, value: Any, remark: str) -> str:
 
 
 def write_json(path: str | os.PathLike[str], data: Any) -> None:
-    """Write a JSON file atomically; numbers that are not finite become ``NaN``, ``Infinity`` or ``-Infinity``.
+    """Write a JSON file atomically: see `write_atomically`.
 
-    Raises
-    ------
-    StorageError
-        When the file cannot be written; an existing file is then unchanged.
+    Numbers that are not finite become ``NaN``, ``Infinity`` or ``-Infinity``.
     """
     write_atomically(path, (json.dumps(data, indent=1) + "\n").encode())
 
@@ -474,20 +429,9 @@ def make_folder(path: Path) -> None:
 def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_links: bool = True) -> None:
     """Write a temporary file in the folder of `path`, then rename it to `path` in one step.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    content
-        Its bytes.
-    through_links
-        If `path` is a symbolic link, True writes the file that it points to; False replaces the link.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be written, see also `check_replaceable`; the temporary file is removed and an existing
-        file is unchanged.
+    through_links: if `path` is a symbolic link, True writes the file that it points to; False replaces the link. Raises
+    StorageError when the file cannot be written, see also `check_replaceable`; the temporary file is removed and an
+    existing file is unchanged.
     """
     try:
         target = Path(os.path.realpath(path)) if through_links else Path(path)
@@ -512,12 +456,8 @@ def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_li
 def keep_replaced(*paths: Path) -> Iterator[list[Path]]:
     """Keep each file that the `with` block replaces by other content, as ``NAME.bak`` beside it.
 
-    Yields a list that holds the paths of the kept files after the block. An older ``NAME.bak`` is replaced.
-
-    Raises
-    ------
-    StorageError
-        When an existing file cannot be read, or its copy cannot be written.
+    Yields a list that holds the paths of the kept files after the block. An older ``NAME.bak`` is replaced. Raises
+    StorageError when an existing file cannot be read, or its copy cannot be written.
     """
     previous = {path: read_bytes(path) for path in paths if path.is_file()}
     backups: list[Path] = []
@@ -533,10 +473,7 @@ def keep_replaced(*paths: Path) -> Iterator[list[Path]]:
 def check_replaceable(path: str | os.PathLike[str]) -> None:
     """Refuse to write to what exists and is no plain file or link, and to a page ``index.html`` of another program.
 
-    Raises
-    ------
-    StorageError
-        Naming the file, with the remedy.
+    The StorageError names the file and the remedy.
     """
     file = Path(path)
     where = f"{printable(os.fspath(path))}: cannot be written"
@@ -564,14 +501,7 @@ class ParquetColumn(NamedTuple):
 def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], metadata: Mapping[str, Any]) -> bytes:
     """Return the bytes of a Parquet file (zstd) with a checksum; equal content gives equal bytes.
 
-    Parameters
-    ----------
-    kind, version
-        Name and version of the file format.
-    columns
-        Columns of the table.
-    metadata
-        Entries about the table that JSON can represent.
+    kind, version: name and version of the file format; metadata: entries about the table that JSON can represent.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -609,25 +539,9 @@ def decode_parquet(
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns by name and the metadata of a file that `encode_parquet` made.
 
-    Parameters
-    ----------
-    content
-        Bytes of the file.
-    where
-        Name of the file, at the beginning of every message.
-    kind, version
-        Required name and version of the file format.
-    remedy
-        Advice to the user whose file has a different version.
-    required
-        Names of columns that must be present.
-
-    Raises
-    ------
-    StorageError
-        For a different file format or version.
-    Damaged
-        For a truncated or edited file.
+    where: name of the file, at the beginning of every message; remedy: advice to the user whose file has a different
+    version; required: names of columns that must be present. Raises StorageError for a different file format or
+    version, and Damaged for a truncated or edited file.
     """
     where = os.fspath(where)
     table = read_arrow_table(content, where)
@@ -659,12 +573,8 @@ def decode_parquet(
 def read_arrow_table(content: bytes, where: str) -> Any:
     """Return the Arrow table of a Parquet file.
 
-    Raises
-    ------
-    Damaged
-        For a truncated file, or one that is no Parquet file.
-    StorageError
-        For more than `MAX_NUMBERS` values or `TABLE_ROWS` rows.
+    Raises Damaged for a truncated file, or one that is no Parquet file, and StorageError for more than `MAX_NUMBERS`
+    values or `TABLE_ROWS` rows.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -697,10 +607,7 @@ def _checksum(columns: Mapping[str, NDArray[Any]], metadata: str) -> str:
 def _array(name: str, stored: Any) -> NDArray[Any]:
     """Return a column as an array (n,), or (n, m) for a column of lists.
 
-    Raises
-    ------
-    ValueError
-        For missing values, and for values that are no numbers.
+    Raises ValueError for missing values, and for values that are no numbers.
     """
     import pyarrow as pa
 

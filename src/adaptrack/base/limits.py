@@ -79,13 +79,7 @@ MAX_SEED = RequestLimit(10_000, "", "the number of a random drive is computed fr
 
 
 def check_limit(quantity: str, value: float, limit: RequestLimit) -> None:
-    """Refuse a value above its bound.
-
-    Raises
-    ------
-    InvalidInput
-        "<quantity> = <value>: at most <most> <unit> (<reason>)."
-    """
+    """Refuse a value above its bound: "<quantity> = <value>: at most <most> <unit> (<reason>)" is an InvalidInput."""
     if value > limit.most:
         number = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
         raise InvalidInput(f"{quantity} = {number}: {limit}.")

@@ -31,12 +31,8 @@ def reports_progress(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R
     """Decorator for functions with an argument `progress`: a call without this argument reports on the terminal.
 
     The function must call `progress` with (stage, steps done, steps in all) or (steps done, steps in all). Inside
-    another computation that shows its progress, the function reports nothing.
-
-    Parameters
-    ----------
-    label
-        Name of the computation in the report.
+    another computation that shows its progress, the function reports nothing. label: name of the computation in the
+    report.
     """
 
     def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -134,12 +130,8 @@ def reported(
 ) -> Iterator[Update]:
     """Report the progress of the `with` block from a thread; yields the function that takes the progress.
 
-    Parameters
-    ----------
-    report
-        Called with the work: first after `FIRST_PAUSE`, then at intervals.
-    interval
-        Time between calls (s), with a last one at the end. If None, it grows from `NEXT_PAUSE` to `LONGEST_PAUSE`.
+    report: called with the work, first after `FIRST_PAUSE`, then at intervals; interval: time between calls (s), with a
+    last one at the end. If None, it grows from `NEXT_PAUSE` to `LONGEST_PAUSE`.
     """
     end, start_time = threading.Event(), time.monotonic()
 

@@ -43,11 +43,8 @@ class Registry(Generic[MemberType]):
     def add(self, name: str, factory: Callable[..., MemberType] | str) -> None:
         """Register a factory under a name.
 
-        Raises
-        ------
-        InvalidInput
-            For an empty or registered name, for a factory that is neither callable nor ``"package.module:name"``, and
-            for one that does not accept the required arguments.
+        Raises InvalidInput for an empty or registered name, for a factory that is neither callable nor
+        ``"package.module:name"``, and for one that does not accept the required arguments.
         """
         if not name or not isinstance(name, str):
             raise InvalidInput(f"{self.register}: the {self.member_kind} needs a name, not {name!r}.")
@@ -75,14 +72,9 @@ class Registry(Generic[MemberType]):
             ) from None
 
     def make(self, name: str, *arguments: Any, **options: Any) -> MemberType:
-        """Call the factory registered under a name.
+        """Call the factory registered under a name, see `check_name`.
 
-        Raises
-        ------
-        UnknownName
-            For an unregistered name; the message gives the most similar registered name.
-        ContractError
-            When the factory returns anything but a member, or calls `sys.exit`.
+        Raises ContractError when the factory returns anything but a member, or calls `sys.exit`.
         """
         classes = getattr(self.member_type, "__args__", (self.member_type,))
         call = PluginCall(
@@ -94,13 +86,7 @@ class Registry(Generic[MemberType]):
         return member
 
     def factory(self, name: str) -> Callable[..., MemberType]:
-        """Return the factory that is registered under a name, importing it if necessary.
-
-        Raises
-        ------
-        UnknownName
-            For an unregistered name; the message gives the most similar registered name.
-        """
+        """Return the factory that is registered under a name, see `check_name`, importing it if necessary."""
         self.check_name(name)
         factory = self.factories[name]
         if isinstance(factory, str):
@@ -110,13 +96,7 @@ class Registry(Generic[MemberType]):
         return factory
 
     def check_name(self, name: str) -> None:
-        """Refuse an unregistered name.
-
-        Raises
-        ------
-        UnknownName
-            The message gives the most similar registered name.
-        """
+        """Refuse an unregistered name: UnknownName, with the most similar registered name."""
         if not isinstance(name, str) or name not in self.factories:
             raise UnknownName(f"There is no {self.member_kind} {name!r}. {did_you_mean(str(name), self.factories)}")
 
@@ -134,13 +114,7 @@ class PluginCall(NamedTuple):
     """Answer that the function must return."""
 
     def __call__(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-        """Call the function.
-
-        Raises
-        ------
-        ContractError
-            When the function calls `sys.exit`, which would end the whole program.
-        """
+        """Call the function; ContractError when it calls `sys.exit`, which would end the whole program."""
         try:
             return function(*arguments, **options)
         except SystemExit as error:
@@ -156,10 +130,7 @@ class PluginCall(NamedTuple):
 def compile_function(where: str, compiler: Callable[[Any], Any], function: Any, form: str) -> Any:
     """Return the function of a part, such as a plant, as the kernels call it; `form`: its arguments, for the message.
 
-    Raises
-    ------
-    ContractError
-        When `compiler`, of `adaptrack.core`, refuses it; the message states file, line and remedy.
+    Raises ContractError, with file, line and remedy, when `compiler`, of `adaptrack.core`, refuses it.
     """
     try:
         return compiler(function)
@@ -174,13 +145,7 @@ class Contract(NamedTuple):
     """Kind and name at the beginning of messages, such as ``prediction model 'mine'``."""
 
     def require(self, holds: Any, clause: str, evidence: object, remedy: str = "") -> None:
-        """Refuse the member unless a clause holds.
-
-        Raises
-        ------
-        ContractError
-            With the clause, the evidence and the remedy.
-        """
+        """Refuse the member unless a clause holds: ContractError with the clause, the evidence and the remedy."""
         if not holds:
             raise self.breach(clause, evidence, remedy)
 
@@ -190,21 +155,10 @@ class Contract(NamedTuple):
 
 
 def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], None] | None = None) -> None:
-    """Import a module that registers members.
+    """Import the module of this dotted name, which registers members.
 
-    Parameters
-    ----------
-    name
-        Dotted name of the module.
-    missing
-        Exception that is raised if there is no such module.
-    announce
-        Function called with the name before the code of the module runs for the first time.
-
-    Raises
-    ------
-    InvalidInput
-        `missing`, or an error with the file and line at which the code of the module fails.
+    announce: called with the name before the code of the module runs for the first time. Raises `missing` if there is
+    no such module, and InvalidInput with the file and line at which the code of the module fails.
     """
     if not all(part.isidentifier() for part in name.split(".")):
         raise missing

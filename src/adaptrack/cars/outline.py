@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Positive, checked, reals
+from adaptrack.base.checked import Array, Positive, checked, reals
 from adaptrack.core.maths import portable
-
-Array = NDArray[np.float64]
 
 
 @checked

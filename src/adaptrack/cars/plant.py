@@ -19,9 +19,9 @@ from functools import cached_property
 from typing import Annotated, Any, Self, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
+from adaptrack.base.checked import Array, Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_STEPS, check_limit
 from adaptrack.base.registry import Contract, PluginCall, Registry, compile_function
@@ -33,8 +33,6 @@ from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_INPUTS, PLANT_STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
 from adaptrack.core.synthesis import plant as kernel
-
-Array = NDArray[np.float64]
 
 MOTION_STATES = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
 """The states that every plant begins with: m, m, rad, m/s, m/s, rad/s."""
@@ -395,10 +393,7 @@ class SteppedPlant(_AnyPlant, ABC):
 def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
     """Equal integration steps of a control period (s), none longer than the plant's `longest_step`.
 
-    Raises
-    ------
-    InvalidInput
-        When that is no positive number, or they are more than `limits.MAX_STEPS`.
+    Raises InvalidInput when that is no positive number, or they are more than `limits.MAX_STEPS`.
     """
     where = f"Plant {plant.name!r}"
     longest = real(where, "longest_step", plant.longest_step)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import checked
+from adaptrack.base.checked import Array, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import finite_number, printable, read_bytes, table_lines
 from adaptrack.cars.vehicle import Tyre
@@ -25,8 +25,6 @@ from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
 from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow
 from adaptrack.core.synthesis import plant as kernel
-
-Array = NDArray[np.float64]
 
 SHAPE_BOUNDS, CURVATURE_BOUNDS, FRICTION_BOUNDS = (1.0, 1.99), (-20.0, 0.99), (0.05, 3.0)
 """Bounds of what is fitted."""
@@ -108,12 +106,7 @@ def fit_law(
     """The tyre, its friction and the offsets of the slip (rad) that are nearest to samples.
 
     Least squares of force over load, from `tyre` and `friction` on; free: of `FREE`, what is fitted beside shape,
-    curvature and friction.
-
-    Raises
-    ------
-    InvalidInput
-        When nothing fits.
+    curvature and friction. Raises InvalidInput when nothing fits.
     """
     from scipy.optimize import least_squares
 

@@ -608,12 +608,7 @@ def list_data(folder: str, ending: str = ".toml") -> list[str]:
 def find_data(folder: str, name_or_path: str | os.PathLike[str], ending: str = ".toml") -> Path:
     """The file that a name (of a shipped one in the folder) or a path means.
 
-    Raises
-    ------
-    UnknownName
-        When nothing has this name.
-    InvalidInput
-        For what is neither text nor a path.
+    Raises UnknownName when nothing has this name, and InvalidInput for what is neither text nor a path.
     """
     if isinstance(name_or_path, os.PathLike) or is_path(name_or_path, ending):
         return Path(name_or_path)

@@ -119,13 +119,7 @@ def _prepare_output() -> None:
 
 
 def _check_surroundings() -> None:
-    """Check the environment before any work: results need an open standard output, pictures need no window system.
-
-    Raises
-    ------
-    StorageError
-        When standard output is closed (`>&-`).
-    """
+    """Refuse a closed standard output (`>&-`) before any work, and let pictures need no window system."""
     if sys.stdout is None:
         raise StorageError("standard output is closed, so nothing can be printed: send it to a file, or to /dev/null.")
     os.environ.pop("MPLBACKEND", None)  # a window system; pictures are written to files

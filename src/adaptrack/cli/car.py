@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
@@ -17,21 +16,6 @@ from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.cars.tyre_fit import TyreFit
-
-
-class BodyStyleName(StrEnum):
-    """Kinds of cars with published measurements, on which estimates are based."""
-
-    car = "car"
-    truck = "truck"
-
-
-class DrivenAxle(StrEnum):
-    """Axles that the engine drives."""
-
-    front = "front"
-    rear = "rear"
-    all = "all"
 
 
 PARAMETER_COLUMNS = (
@@ -48,21 +32,17 @@ class NewCar:
     mass: float | None = option("KG", "Mass of a new car (kg); needs --wheelbase.")
     wheelbase: float | None = option("M", "Wheelbase of a new car (m); needs --mass.")
     load: float | None = option("KG", "Mass of people and luggage (kg): 75 for a driver, 136 with luggage.")
-    body_style: BodyStyleName = option(None, "Body of a new car; truck: pickup, van or SUV.", BodyStyleName.car)
-    drive: DrivenAxle | None = option(None, "Driven axle of a new car; by default front drive is assumed.")
+    body_style: Literal["car", "truck"] = option(None, "Body of a new car; truck: pickup, van or SUV.", "car")
+    drive: Literal["front", "rear", "all"] | None = option(
+        None, "Driven axle of a new car; by default front drive is assumed."
+    )
     yaw_inertia: float | None = option("I", "Yaw inertia (kg m^2), if known.", hidden=True)
     lf: float | None = option("M", "Centre of gravity to front axle, if known.", hidden=True)
     stiffness_front: float | None = option("C", "Stiffness of one front tyre (N/rad), if known.", hidden=True)
     stiffness_rear: float | None = option("C", "Stiffness of one rear tyre (N/rad), if known.", hidden=True)
 
     def estimate(self, name: str) -> at.Vehicle | None:
-        """Estimate a car from its data sheet; None without any value.
-
-        Raises
-        ------
-        InvalidInput
-            When mass or wheelbase is missing.
-        """
+        """Estimate a car from its data sheet, which needs mass and wheelbase; None without any value."""
         values = {key: getattr(self, key) for key in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
         values = {key: value for key, value in values.items() if value is not None}
         if self.mass is None and self.wheelbase is None:
@@ -73,8 +53,8 @@ class NewCar:
             missing = "mass" if self.mass is None else "wheelbase"
             raise InvalidInput(f"a new car needs --mass and --wheelbase: --{missing} is missing.")
         return at.vehicle_from_data_sheet(
-            name, self.mass, self.wheelbase, load=self.load or 0.0, body_style=str(self.body_style),
-            driven_axle=None if self.drive is None else self.drive.value, **values,
+            name, self.mass, self.wheelbase, load=self.load or 0.0, body_style=self.body_style,
+            driven_axle=self.drive, **values,
         )  # fmt: skip
 
 

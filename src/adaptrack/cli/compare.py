@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import note_progress, options, show
@@ -17,13 +16,6 @@ if TYPE_CHECKING:
     from adaptrack.base.result import Result
     from adaptrack.comparison.config import ComparisonConfig
     from adaptrack.comparison.run import Compared
-
-
-class LaneChangeName(StrEnum):
-    """Lane changes of ISO 3888."""
-
-    iso3888_1 = "iso3888-1"
-    iso3888_2 = "iso3888-2"
 
 
 @option_group
@@ -52,7 +44,7 @@ class CompareOptions:
         "NAME", "See `list comparisons`, or a .toml file; default: `quick`; with ROAD `roads`, --driver `drivers`."
     )
     prescribed_speed: bool = options.prescribed_speed_flag()
-    lane_change: LaneChangeName | None = option(
+    lane_change: Literal["iso3888-1", "iso3888-2"] | None = option(
         None, "Find the highest entry speed of this lane change without touching a cone."
     )
     out: Path | None = option("FOLDER", "Folder for the page and all runs; a repeated command continues in it.")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
@@ -16,13 +15,6 @@ from adaptrack.cli.options import option, option_group
 INFORMED_NAME, STANDARD_NAME, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
 CERTIFIED_LEVELS = (9, 3)
 """Numbers of speeds and frictions in the certificate for a different car."""
-
-
-class MovesName(StrEnum):
-    """Parametrisations of the moves."""
-
-    pulse = "pulse"
-    laguerre = "laguerre"
 
 
 @option_group
@@ -35,7 +27,9 @@ class PublishedOptions:
     nc: int | None = option(None, "Control horizon (periods); default of standard: 8.", hidden=True)
     q: float | None = option(None, "Weight of the tracking error (1/m^2); standard: 10.", hidden=True)
     r: float | None = option(None, "Weight of the moves (1/rad^2); standard: 0.01.", hidden=True)
-    moves: MovesName = option(None, "pulse: eq. (10); laguerre: Laguerre functions.", MovesName.pulse, hidden=True)
+    moves: Literal["pulse", "laguerre"] = option(
+        None, "pulse: eq. (10); laguerre: Laguerre functions.", "pulse", hidden=True
+    )
     laguerre_pole: float = option(None, "Pole a of the Laguerre functions.", 0.95, hidden=True)
     laguerre_terms: int = option(None, "Number of Laguerre functions.", 10, hidden=True)
     solver: str = option("NAME", "QP solver: active-set or hildreth", "active-set", hidden=True)
@@ -56,7 +50,7 @@ class PublishedOptions:
 
     def make_moves(self) -> at.Moves:
         """Return the move parametrisation for the MPC."""
-        return at.Moves(self.moves.value, self.laguerre_pole, self.laguerre_terms)
+        return at.Moves(self.moves, self.laguerre_pole, self.laguerre_terms)
 
 
 @dataclass(frozen=True)
@@ -103,12 +97,7 @@ class ControllerSettings:
 def make_controller(name: str, settings: ControllerSettings) -> tuple[str, at.Controller]:
     """Return the label and the controller of a name: an MPC or a registered controller.
 
-    Raises
-    ------
-    UnknownName
-        When no controller has this name.
-    InvalidInput
-        When the options contradict each other.
+    Raises UnknownName for a different name, and InvalidInput for options that contradict each other.
     """
     chosen = settings.moves or at.Moves.pulses()
     moves = {STANDARD_NAME: chosen, AS_WRITTEN: at.Moves.pulses(), AS_RELEASED: at.Moves.laguerre(0.95, chosen.terms)}
@@ -185,11 +174,6 @@ def certify_meeting(label: str, mpc: at.MPC, plant: Any, car: at.Vehicle, world:
 
     label: name of the schedule in messages; allowed: whether an unstable loop is only a warning. Schedules without a
     car, or for this car, are not certified.
-
-    Raises
-    ------
-    InvalidInput
-        When a loop is unstable when driving straight and `allowed` is False.
     """
     from adaptrack.control.controllers.compatibility import car_of
 
@@ -218,10 +202,7 @@ def _judge(
 ) -> None:
     """Certify a schedule or a tuning over the domain of a car and print the verdict; clause: start of the message.
 
-    Raises
-    ------
-    InvalidInput
-        When the loop is unstable when driving straight and `allowed` is False.
+    Raises InvalidInput if the loop is unstable when driving straight, unless that is allowed.
     """
     from adaptrack.analysis.certify import certify
     from adaptrack.analysis.stability import linear_twin

@@ -133,10 +133,7 @@ def _make_driver(
 ) -> at.Driver | at.SpeedControl | None:
     """Return what moves the car along its plan; None for a prescribed speed.
 
-    Raises
-    ------
-    InvalidInput
-        When a speed control or a planner is requested without a road, or with a prescribed speed.
+    Speed control and planner need a road whose speed is not prescribed, else InvalidInput is raised.
     """
     from adaptrack.drive.world import ROAD_DRIVER
 

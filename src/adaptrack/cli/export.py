@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 import typer
 
@@ -42,13 +42,7 @@ class ExportedController:
         return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed, assumed_friction=self.assumed_friction)
 
     def make_speed_control(self, car: at.Vehicle) -> at.SpeedControl | None:
-        """Make the speed control; None without --speed-control.
-
-        Raises
-        ------
-        InvalidInput
-            When a friction is assumed without it.
-        """
+        """Make the speed control; None without --speed-control, which an assumed friction needs."""
         friction = self.route.assumed_interval
         if self.speed_control:
             return at.SpeedControl(car) if friction is None else at.SpeedControl(car, friction=friction)
@@ -57,13 +51,7 @@ class ExportedController:
         return None
 
     def make(self, car: at.Vehicle, world: at.Profile, computation: float | None = None) -> at.Controller:
-        """Make the controller; computation: computation time (s), by default that of the profile.
-
-        Raises
-        ------
-        InvalidInput
-            When the options contradict each other.
-        """
+        """Make the controller; computation: computation time (s), by default that of the profile."""
         from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning, make_tuned
 
         if self.tuning is not None and (self.controller or self.scheduler):
@@ -147,20 +135,13 @@ def export_c(
 
 
 # -- FMUs -------------------------------------------------------------------------------------------------------------
-class Interface(StrEnum):
-    """Versions of the Functional Mock-up Interface."""
-
-    second = "2.0"
-    third = "3.0"
-
-
 @app.command("fmu")
 @options.grouped
 def export_fmu(
     *,
     out: Path = option("FOLDER", "Folder for car.fmu and controller.fmu.", ...),
     exported: ExportedController,
-    fmi: Interface = option(None, "Version of the Functional Mock-up Interface.", Interface.third),
+    fmi: Literal["2.0", "3.0"] = option(None, "Version of the Functional Mock-up Interface.", "3.0"),
     platform: list[str] | None = option(
         "NAME", "Platform of a binary: linux, linux-aarch64, windows, macos; default: this one; may be repeated."
     ),
@@ -202,12 +183,12 @@ def export_fmu(
             fmu_build.binary(name)
     with show.replacing(*files, aside=as_json):
         for unit, file in zip(units, files, strict=True):
-            write_fmu(unit, file, fmi.value, platforms)
+            write_fmu(unit, file, fmi, platforms)
     if as_json:
         names = list(map(str, files))
         show.say_json({"files": names, "fmi": fmi, "period": controller.period, "platforms": platforms})
         return
-    show.say(f"FMI {fmi.value}, for {' and '.join(platforms)}, a step is {controller.period:g} s")
+    show.say(f"FMI {fmi}, for {' and '.join(platforms)}, a step is {controller.period:g} s")
     for unit, file in zip(units, files, strict=True):
         show.say(f"{file}: {unit.title}, {file.stat().st_size:,} bytes")
 

@@ -206,13 +206,7 @@ class CarAndPlant:
 
 
 def load_plugins(modules: Sequence[str] | None) -> None:
-    """Import modules from the Python path or from the current folder.
-
-    Raises
-    ------
-    InvalidInput
-        When a module does not exist.
-    """
+    """Import modules from the Python path or from the current folder; InvalidInput if one does not exist."""
     if modules and "" not in sys.path:
         sys.path.append("")
     for name in modules or ():
@@ -222,13 +216,7 @@ def load_plugins(modules: Sequence[str] | None) -> None:
 
 # -- output files -----------------------------------------------------------------------------------------------------
 def make_folder(path: Path) -> None:
-    """Make a folder and check that files can be written to it.
-
-    Raises
-    ------
-    StorageError
-        When the folder cannot be made or written to.
-    """
+    """Make a folder; StorageError if it cannot be made or written to."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         probe = path / ".writable"
@@ -241,12 +229,8 @@ def make_folder(path: Path) -> None:
 def make_place(file: Path | None, ending: str = "", option: str = "--out") -> None:
     """Make the folder of an output file, unless `file` is None.
 
-    Raises
-    ------
-    InvalidInput
-        When the name of the file, which an option states, ends differently.
-    StorageError
-        When its folder cannot be written to, or what is there may not be replaced (`check_replaceable`).
+    Raises InvalidInput if the name of the file, which an option states, ends differently, and StorageError if its
+    folder cannot be written to, or what is there may not be replaced (`check_replaceable`).
     """
     from adaptrack.base.files import check_replaceable
 
@@ -259,15 +243,7 @@ def make_place(file: Path | None, ending: str = "", option: str = "--out") -> No
 
 
 def make_page_folder(out: Path | None, png: bool = False) -> None:
-    """Make the folder of a page, unless `out` is None.
-
-    Raises
-    ------
-    InvalidInput
-        When PNG files are requested without a page.
-    StorageError
-        When the folder cannot be made or written to, or has the page of another program.
-    """
+    """Make the folder of a page, unless `out` is None; see `make_place`. PNG files need a page."""
     from adaptrack.base.files import PAGE_FILE
 
     if png and out is None:

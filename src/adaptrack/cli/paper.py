@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -109,20 +108,6 @@ def campaign(
 
 
 # -- train ------------------------------------------------------------------------------------------------------------
-class ModelName(StrEnum):
-    """Models that learn a tuning."""
-
-    nn = "nn"
-    anfis = "anfis"
-
-
-class TargetsName(StrEnum):
-    """Quantities that a model learns."""
-
-    paper = "paper"
-    ratio = "ratio"
-
-
 QUALITY_COLUMNS = (
     Column("slot", "target"),
     Column("r2", "R²\nheld out", "", 3),
@@ -140,10 +125,10 @@ QUALITY_COLUMNS = (
 def train(
     *,
     data: str = option("NAME", "Data set: paper-grid, road-sobol, a file, or the folder of a campaign.", ...),
-    model: ModelName = option(None, "nn: neural networks (4-16-8-1); anfis: fuzzy systems.", ...),
+    model: Literal["nn", "anfis"] = option(None, "nn: neural networks (4-16-8-1); anfis: fuzzy systems.", ...),
     out: Path = option("FILE", "File for the schedule (.json).", ...),
-    targets: TargetsName = option(
-        None, "Learned quantities. paper: Np, Nc, Q and R; ratio: Np, Nc and log10 R/Q.", TargetsName.paper
+    targets: Literal["paper", "ratio"] = option(
+        None, "Learned quantities. paper: Np, Nc, Q and R; ratio: Np, Nc and log10 R/Q.", "paper"
     ),
     seed: int = learning_seed_option(),
     as_json: bool = json_flag(),
@@ -159,7 +144,7 @@ def train(
     dataset = load_dataset(data)
     options.make_place(out, ".json")
     with show.progress("train") as advance:
-        trained = train_models(dataset, str(model), str(targets), seed=seed, progress=advance)
+        trained = train_models(dataset, model, targets, seed=seed, progress=advance)
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
         at.check_scheduler(schedule)
     schedule.save(out)
@@ -286,13 +271,7 @@ def evaluate(
 def _add_schedules(
     task: LearningTask, schedules: dict[str, at.Schedule], names: Sequence[str]
 ) -> dict[str, at.Schedule]:
-    """Add schedules by name or file, and check that all schedules were made for the task.
-
-    Raises
-    ------
-    InvalidInput
-        When a schedule was made for a different controller, car or profile, or when two have the same name.
-    """
+    """Add schedules by name or file; refuse equal names, and schedules for a different controller, car or profile."""
     profile, checked = at.load_profile(task.profile).name, dict(schedules)
     for name in names:
         schedule = at.load_scheduler(name)

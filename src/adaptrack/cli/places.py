@@ -64,12 +64,9 @@ class PlaceOptions:
     )
 
     def load(self, car: at.Vehicle, holdable: HoldableSpeed | None = None) -> DrivenPlaces:
-        """Load the scenarios or the road; holdable: speeds with sufficient margins, to limit the speed plan.
+        """Load several scenarios or one road; holdable: speeds with sufficient margins, to limit the speed plan.
 
-        Raises
-        ------
-        InvalidInput
-            When scenarios and roads are mixed, several roads are given, or an option does not apply.
+        Raises InvalidInput for other combinations, and for options that do not apply.
         """
         are_roads = [is_road(name) for name in self.names]
         if any(are_roads) and len(are_roads) > 1:
@@ -104,12 +101,7 @@ class PlaceOptions:
 def is_road(name: str) -> bool:
     """Whether a name or file is a road; otherwise it is a scenario.
 
-    Raises
-    ------
-    UnknownName
-        When there is neither a scenario nor a road of that name.
-    InvalidInput
-        When a file or name may be both.
+    Raises UnknownName for a name of neither, and InvalidInput for a name or file that may be both.
     """
     from adaptrack.road.generate import ROAD_KINDS
     from adaptrack.road.load import ROAD_ENDINGS

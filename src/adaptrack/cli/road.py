@@ -64,13 +64,7 @@ class RoadOptions:
 
     @property
     def stops(self) -> list[Stop]:
-        """Stops of the plan.
-
-        Raises
-        ------
-        InvalidInput
-            When a stop is not S:SECONDS.
-        """
+        """Stops of the plan, each written as S:SECONDS."""
         from adaptrack.road import Stop
 
         stops = []
@@ -94,13 +88,7 @@ class RoadOptions:
 
     @property
     def assumed_interval(self) -> tuple[float, float] | None:
-        """Low and high end of the assumed friction; None: that of the road.
-
-        Raises
-        ------
-        InvalidInput
-            When the option is neither a friction nor an interval of two.
-        """
+        """Low and high end of the assumed friction, which is written as MU or LOW:HIGH; None: that of the road."""
         if self.assumed_friction is None:
             return None
         from adaptrack.control.speed_control import ASSUMABLE_FRICTION
@@ -123,11 +111,7 @@ class RoadOptions:
         """Load a road by its name, plan the speed along it for a car, and check both.
 
         profile: profile for the stability margins of --margins; holdable: speeds with sufficient margins from a tuning.
-
-        Raises
-        ------
-        InvalidInput
-            When --speed is combined with --speed-column, --lateral-acceleration, --stop or --start.
+        A constant speed excludes a speed column, a lateral acceleration, stops and a speed at the start.
         """
         from adaptrack.road import Comfort
         from adaptrack.road.speed import constant_speed, speed_limit_plan

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import reals, whole_number
+from adaptrack.base.checked import Array, reals, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
@@ -27,9 +27,6 @@ from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.failure import failure_of
 from adaptrack.drive.world import World
 from adaptrack.gym.task import Episode, Task
-
-Array = NDArray[np.float64]
-
 
 CLIP_DISTANCE = 100.0
 """m, bound of offsets and of the previewed reference in an observation."""
@@ -46,10 +43,7 @@ def box(bounds: Sequence[tuple[float, float]]) -> spaces.Box:
 def check_action(action: Any, space: spaces.Box) -> Array:
     """Return an action as an array, clipped to the bounds of its space.
 
-    Raises
-    ------
-    InvalidInput
-        For an action that is not numeric, not finite or of a different shape than the space.
+    Raises InvalidInput for an action that is not numeric, not finite or of a different shape than the space.
     """
     values = reals("action", action)
     if values.shape != space.shape:

@@ -9,9 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from adaptrack.base.checked import reals, whole_number
+from adaptrack.base.checked import Array, reals, whole_number
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Controller, get_controller
 from adaptrack.core import public as core
@@ -20,7 +19,6 @@ from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.gym.environment import BELIEF_STATE, CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box, is_over
 from adaptrack.gym.task import Episode, Task
 
-Array = NDArray[np.float64]
 TUNING_PERIODS = 10
 """Default number of control periods between two actions."""
 VARIABLE_BOUNDS = {
@@ -39,21 +37,9 @@ ENVIRONMENT_CONTROLLERS = ("informed", "informed-learning", "as-written")
 
 
 def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MPC:
-    """Return an MPC with preview of the road.
+    """Return an MPC of a car and a profile with preview of the road; scheduler: of the tuning; None: default tuning.
 
-    Parameters
-    ----------
-    kind
-        One of `ENVIRONMENT_CONTROLLERS`.
-    vehicle, profile
-        Car and profile for which the MPC is built.
-    scheduler
-        Scheduler of the tuning; None for the default tuning.
-
-    Raises
-    ------
-    UnknownName
-        When there is no such controller.
+    kind: one of `ENVIRONMENT_CONTROLLERS`; raises UnknownName for any other.
     """
     if kind not in ENVIRONMENT_CONTROLLERS:
         raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, ENVIRONMENT_CONTROLLERS)}")

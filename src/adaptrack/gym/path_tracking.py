@@ -9,9 +9,8 @@ from typing import Annotated, Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from adaptrack.base.checked import NotNegative, checked, reals
+from adaptrack.base.checked import Array, NotNegative, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
@@ -21,8 +20,6 @@ from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import RequestedForces
 from adaptrack.gym.environment import CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box
 from adaptrack.gym.task import Episode, ExternalCommands, Task
-
-Array = NDArray[np.float64]
 
 OBSERVATION_BOUNDS = {
     "offset": (-CLIP_DISTANCE, CLIP_DISTANCE), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
@@ -146,10 +143,7 @@ class _PathTracking:
     ) -> tuple[spaces.Box, spaces.Box]:
         """Set task, distances and names of the columns; return the action and observation space of one car.
 
-        Raises
-        ------
-        InvalidInput
-            When a driver is given although the agent commands the acceleration.
+        Raises InvalidInput when a driver is given although the agent commands the acceleration.
         """
         if acceleration and "driver" in task:
             raise InvalidInput("driver: with acceleration=True the agent commands the speed: leave the driver out.")

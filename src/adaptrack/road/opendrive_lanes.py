@@ -208,13 +208,7 @@ class Lanes:
         )
 
     def _follow(self, lane: int) -> list[tuple[int, _Stretch]]:
-        """The ids of a lane from the first section that has it to the last.
-
-        Raises
-        ------
-        ConfigError
-            When there is no such lane.
-        """
+        """The ids of a lane from the first section that has it to the last; ConfigError when there is no such lane."""
         path: list[tuple[int, _Stretch]] = []
         for stretch in self._left if lane > 0 else self._right:
             number = _next_id(*path[-1], stretch.lanes) if path else lane
@@ -484,18 +478,9 @@ def line_at_offset(
     """The line at a lateral offset from another, and the arc lengths (m) of its samples on the base and on itself.
 
     A cubic with their directions goes through samples at most `OFFSET_STEP` apart and at the joints of both lines.
-
-    Parameters
-    ----------
-    offsets
-        Where along the base each cubic of the offset begins (m), and its coefficients; positive to the left, m.
-    extent : (start, end)
-        The part of the base (m) beside which the line lies; by default all of it.
-
-    Raises
-    ------
-    InvalidInput
-        Where the line passes the centre of curvature of its base.
+    offsets: where along the base each cubic of the offset begins (m), and its coefficients; positive to the left, m;
+    extent: start and end (m) of the part of the base beside which the line lies; by default all of it. Raises
+    InvalidInput where the line passes the centre of curvature of its base.
     """
     first, last = extent or (0.0, base.length)
     starts, rows = (np.array(column) for column in zip(*offsets, strict=True))

@@ -90,12 +90,7 @@ class PointsFile(NamedTuple):
 def road_from_csv(path: str | os.PathLike[str], *, speed_column: str | None = None, **options: Any) -> Road:
     """A road through or near the points of a CSV file; for its options see `read_points` and `fit_road`.
 
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it holds no road; the message names the line and the remedy.
+    Raises StorageError when the file cannot be read, and ConfigError, with line and remedy, when it holds no road.
     """
     table = read_points(path, speed_column)
     try:
@@ -136,17 +131,8 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     left out. A column `grade` (dz/ds) is used before the slope of the heights `z` (m). Widths are distances: if all of
     a column are below 0, their signs are dropped. A speed of 0 in the first or last lines becomes half the next speed.
 
-    Parameters
-    ----------
-    speed_column : str, optional
-        Name of the column that becomes the speed limit (m/s), such as the speed of a race line.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it is no such table; the message names the line and the remedy.
+    speed_column: name of the column that becomes the speed limit (m/s), such as the speed of a race line. Raises
+    StorageError when the file cannot be read, and ConfigError, with line and remedy, when it is no such table.
     """
     where = os.fspath(path)
     header, rows = split_header(where, *table_lines(where, read_bytes(path), "strict"))

@@ -196,10 +196,7 @@ class _System:
 def grade_of_heights(s: Array, height: Array, length: float, closed: bool) -> tuple[tuple[Array, Array], str]:
     """Arc lengths (m) along a road with the grade dz/ds there, from heights (n,) m at arc lengths s (n,) m; and a note.
 
-    Raises
-    ------
-    InvalidInput
-        When the heights rise or fall by more than `MAX_GRADE`.
+    Raises InvalidInput when the heights rise or fall by more than `MAX_GRADE`.
     """
     places = np.mod(s, length) if closed else np.clip(s, 0.0, length)
     smoother = Smoother((height - height[0])[:, np.newaxis], places, length, closed, max(length / s.size, 0.5))

@@ -74,26 +74,14 @@ class Along(Record):
         return minima
 
     def within(self, allowed: Callable[[Array], NDArray[np.bool_]], rule: str) -> None:
-        """Refuse values that are not allowed.
-
-        Raises
-        ------
-        InvalidInput
-            "<where> = <value>: must be <what>."
-        """
+        """Refuse values that are not allowed; the InvalidInput states the first one, where it is, and the rule."""
         violations = np.flatnonzero(~allowed(np.array(self.value)))
         if violations.size:
             raise InvalidInput(f"{self.value[violations[0]]!r} at s = {self.s[violations[0]]:.6g} m: must be {rule}.")
 
 
 def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> Along:
-    """A number, a pair (arc lengths, values) or an `Along`.
-
-    Raises
-    ------
-    InvalidInput
-        For anything else.
-    """
+    """A number, a pair (arc lengths, values) or an `Along`; InvalidInput for anything else."""
     if isinstance(value, Along):
         return value
     try:

@@ -92,10 +92,7 @@ def _polynomial(coefficients: NDArray[Any], u: Array) -> Array:
 def tabulate(segments: Sequence[Segment]) -> list[Pieces]:
     """The table of each element, in the element's own frame.
 
-    Raises
-    ------
-    InvalidInput
-        For a cubic with a point at which it stands still (a cusp).
+    Raises InvalidInput for a cubic with a point at which it stands still (a cusp).
     """
     cubics = [segment.powers for segment in segments if isinstance(segment, Cubic)]
     pieces, counts = _cubic_pieces(np.array(cubics).reshape(-1, 2, 4))
@@ -143,15 +140,8 @@ def _chained(start: Array, pieces: Array) -> Pieces:
 def cubic_line(powers: Array) -> tuple[Pieces, Array]:
     """The line of cubics one after the other, and the arc lengths (n + 1,) m at which they begin and end.
 
-    Parameters
-    ----------
-    powers : (n, 2, 4) array
-        Coefficients (m) of x and y in 1, p, p^2, p^3, where p runs from 0 to 1 along each cubic.
-
-    Raises
-    ------
-    InvalidInput
-        When a cubic has a cusp.
+    powers: (n, 2, 4), coefficients (m) of x and y in 1, p, p^2, p^3, where p runs from 0 to 1 along each cubic. Raises
+    InvalidInput when a cubic has a cusp.
     """
     pieces, counts = _cubic_pieces(powers)
     line = joined([end_to_end(pieces)])

@@ -114,19 +114,10 @@ class RoadFile(Record):
 
 
 def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
-    """The road of a TOML file.
+    """The road of a TOML file; along: as in `Road.from_segments`, in place of what the file says.
 
-    Parameters
-    ----------
-    **along
-        As in `Road.from_segments`, in place of what the file says.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it describes no road; with the key, the value and the remedy.
+    Raises StorageError when the file cannot be read, and ConfigError, with key, value and remedy, when it describes no
+    road.
     """
     where = os.fspath(path)
     file = build(RoadFile, as_tuples(read_toml(path)), where)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive, checked
@@ -22,8 +21,6 @@ from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario import shapes
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import Constant, Gust, Knots, LaneChange, Shape, Step, Sum, Wind
-
-Array = NDArray[np.float64]
 
 DESCRIPTION = "Mixed driving: changing speed and friction, curves, lane changes, wind and gusts."
 

@@ -21,15 +21,14 @@ from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.base.checked import real
+from adaptrack.base.checked import Array, real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, Record, build
 from adaptrack.core.maths import portable
 
-Array = NDArray[np.float64]
 HIGHEST_FRICTION = 3.0
 """Largest accepted friction coefficient. Racing tyres stay below 2; larger inputs are usually percentages."""
 
@@ -69,10 +68,7 @@ class Shape(Record):
 def as_shape(value: Any) -> Shape:
     """Convert a number (to a constant) or a table of a scenario file to a shape; a shape is returned as it is.
 
-    Raises
-    ------
-    InvalidInput
-        When the value describes no shape; the message suggests the most similar shape or key.
+    Raises InvalidInput when the value describes no shape; the message suggests the most similar shape or key.
     """
     if isinstance(value, Shape):
         return value

@@ -73,8 +73,7 @@ def _limit(count, most, requested, work):
     They are the mean of the least bound from above and the largest one from below with such steps (E. J. McShane,
     Extension of range of functions, 1934): so a fast turn of the wheels begins before it is needed.
     """
-    for i in range(count):
-        work[i] = requested[i]
+    work[:count] = requested[:count]
     for i in range(1, count):
         requested[i] = max(requested[i], requested[i - 1] - most)
         work[i] = min(work[i], work[i - 1] + most)

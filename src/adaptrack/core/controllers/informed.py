@@ -70,10 +70,7 @@ def _learn(slot, speed, mpc):
 def _keep_model(slot, mpc):
     """A and B at the speed of the slot, for the estimator."""
     informed, model = mpc.informed, mpc.model
-    for i in range(model.b.size):
-        informed.b[slot, i] = model.b[i]
-        for j in range(model.b.size):
-            informed.a[slot, i, j] = model.a[i, j]
+    informed.a[slot, :, :], informed.b[slot, :] = model.a, model.b
 
 
 @inlined

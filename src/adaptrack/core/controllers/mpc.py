@@ -327,8 +327,7 @@ def has_output_limits(settings):
 @inlined
 def begin_learning(slot, informed):
     """Back to what is known before the first step."""
-    for i in range(informed.fresh.size):
-        informed.learned[slot, i] = informed.fresh[i]
+    informed.learned[slot, :] = informed.fresh
 
 
 @inlined

@@ -56,8 +56,7 @@ def step_mpc(slot, speed, command, station, road, measured, reference, speeds, r
     """One control period of an MPC, which sees the road ahead where it is made for curved roads."""
     mpc, settings = controller.mpc, controller.mpc.settings
     mpc.memory[slot].command = command
-    for i in range(mpc.measured.size):
-        mpc.measured[i] = measured[i]
+    mpc.measured[:] = measured
     if settings.curved > 0 and road >= 0:
         bend_ahead(
             station, speeds, max(speed, settings.speed_floor), batch.delay_of(slot, mpc), settings.period, road, roads,
@@ -66,8 +65,7 @@ def step_mpc(slot, speed, command, station, road, measured, reference, speeds, r
     elif settings.curved > 0:
         mpc.bend[:] = 0.0
     step_with(slot, speed, reference, controller.tuning[slot], mpc, controller.functions)
-    for i in range(mpc.answer.shape[1]):
-        controller.answer[slot, i] = mpc.answer[slot, i]
+    controller.answer[slot, :] = mpc.answer[slot]
 
 
 def mpc_controller(controller: Any, mpc: Any) -> Any:
@@ -94,11 +92,9 @@ def steps(states, speeds, references, tunings, mpc, functions, answers):
     answers: (k, .) what each step answered, as `mpc.MPC_ANSWER` and what is learned.
     """
     for k in range(speeds.size):
-        for i in range(mpc.measured.size):
-            mpc.measured[i] = states[k, i]
+        mpc.measured[:] = states[k]
         step_with(0, speeds[k], references[k], tunings[k], mpc, functions)
-        for i in range(answers.shape[1]):
-            answers[k, i] = mpc.answer[0, i]
+        answers[k, :] = mpc.answer[0]
 
 
 @exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC_PLACE, Functions))

@@ -133,8 +133,7 @@ def apply_requests(slot, request, controller):
         _call_request(controller.request, slot, request, controller)
     if request[REQUEST.restart] > 0.5:
         begin_schedule(slot, controller.schedule)
-        for i in range(controller.first_tuning.size):
-            controller.tuning[slot, i] = controller.first_tuning[i]
+        controller.tuning[slot, :] = controller.first_tuning
     request[REQUEST.restart] = request[REQUEST.change] = 0.0
 
 

@@ -114,8 +114,7 @@ def _roll(reference, road, s, parameters, memory, x):
             following[i] = b[i] * u + e[i] * w
             for j in range(n):
                 following[i] += a[i, j] * x[j]
-        for i in range(n):
-            x[i] = following[i]
+        x[:] = following
         time += h
         distance += planned * h
     return distance

@@ -237,10 +237,8 @@ def _begin(s, m):
     spread[VY_STATE], spread[YAW_RATE_STATE] = UNKNOWN_MOTION, UNKNOWN_MOTION
     spread[LOG_FRICTION], spread[WIND_STATE] = s.prior.friction_spread, s.prior.wind_spread
     spread[LOG_STIFFNESS] = s.prior.stiffness_spread
+    m.z[:], m.covariance[:, :] = 0.0, 0.0
     for i in range(N):
-        m.z[i] = 0.0
-        for j in range(N):
-            m.covariance[i, j] = 0.0
         m.covariance[i, i] = spread[i] * spread[i]
     m.z[LOG_FRICTION] = s.log_friction
     m.started = 1.0

@@ -486,8 +486,7 @@ def _take_in(sensor, value, variance, candidate, speed, by_dead_time, p, m):
     variance = scatter(variance, h, P, cross)
     nu = bounded(innovation, variance, p.method.innovation_bound)
     before = _states()
-    for state in range(LEARNER_STATES):
-        before[state] = candidate.x[state]
+    before[:] = candidate.x
     _add_score(nu, variance, cross, candidate)
     correct(nu, variance, cross, candidate.x, P)
     if candidate.grip_use > p.method.delay_grip_use:  # the model is wrong near the grip
@@ -556,17 +555,14 @@ def _lose_motion(candidate):
     """Know no more of the motion of the car."""
     for state in range(WIND_FORCE):
         candidate.x[state] = 0.0
-        for j in range(LEARNER_STATES):
-            candidate.covariance[state, j], candidate.covariance[j, state] = 0.0, 0.0
+        candidate.covariance[state, :], candidate.covariance[:, state] = 0.0, 0.0
         candidate.covariance[state, state] = UNKNOWN_MOTION_VARIANCE
 
 
 @inlined
 def _begin(p, measured, command, m, memory):
     """From the first sample of a drive."""
-    sent = memory[_SENT:]
-    for i in range(whole(p.commands)):
-        sent[i] = command
+    memory[_SENT : _SENT + whole(p.commands)] = command
     for sensor in range(kalman.SENSOR_COUNT):
         m.last[sensor], m.second_last[sensor], m.third_last[sensor] = measured[sensor], math.nan, math.nan
     for i in range(whole(p.hypotheses)):

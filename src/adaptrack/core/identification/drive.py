@@ -67,8 +67,7 @@ def speed_innovations(quantities, log, answer):
     drive = brakes = speed = push = p_vv = p_vd = p_dd = 0.0
     is_estimated = False
     for k in range(log.shape[1]):
-        for i in range(answer.shape[0]):
-            answer[i, k] = math.nan
+        answer[:, k] = math.nan
         measured = log[DRIVE_ROW.speed, k]
         if log[DRIVE_ROW.begins, k] > 0.0:
             drive_row = brake_row = k

@@ -140,10 +140,7 @@ def _turning(q):
 @inlined
 def _start(q, k, log, x, p):
     """The state and covariance at the beginning of a segment."""
-    for i in range(_N):
-        x[i] = 0.0
-        for j in range(_N):
-            p[i, j] = 0.0
+    x[:], p[:, :] = 0.0, 0.0
     rate, yaw = log[LOG_ROW.yaw_rate, k], log[LOG_ROW.yaw, k]
     x[_STATE.yaw_rate] = rate - q.gyro_offset if rate == rate else 0.0
     x[_STATE.yaw] = yaw if yaw == yaw else 0.0
@@ -235,8 +232,7 @@ def _sense(sensor, q, speed, angle, x, h):
 
     angle: of the wheels (rad)
     """
-    for i in range(_N):
-        h[i] = 0.0
+    h[:] = 0.0
     if sensor == OUTPUT.yaw_rate:
         h[_STATE.yaw_rate] = 1.0
         return x[_STATE.yaw_rate] + q.gyro_offset, q.noise_yaw_rate
@@ -324,8 +320,7 @@ def innovations(quantities, log, answer):
     acting_here, wheels_now = 0, 0.0  # of the wheels as their sensor has them
     measured_angle = q.lag <= 0.0
     for k in range(samples):
-        for i in range(answer.shape[0]):
-            answer[i, k] = math.nan
+        answer[:, k] = math.nan
         time = log[LOG_ROW.time, k]
         if log[LOG_ROW.begins, k] > 0.0:
             _start(q, k, log, x, p)

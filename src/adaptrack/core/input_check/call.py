@@ -74,8 +74,7 @@ def _check_clock(sample, memory, settings):
 @inlined
 def _begin_sums(t, memory):
     memory.summed, memory.tick = 0.0, t
-    for i in range(SUMMED):
-        memory.sums[i] = 0.0
+    memory.sums[:] = 0.0
 
 
 @inlined
@@ -108,8 +107,7 @@ def _take(sample, memory):
     memory.jumped = 1 if jumped else 0
     memory.tick_count = min(memory.tick_count + 1, TICKS)
     for i in range(TICKS - 1):
-        for j in range(len(T)):
-            memory.ticks[i, j] = memory.ticks[i + 1, j]
+        memory.ticks[i, :] = memory.ticks[i + 1]
     _write_tick(sample, turned, way, memory)
     _begin_sums(t, memory)
     return True

@@ -330,9 +330,7 @@ def _eliminate(square, place, spread):
 def _reduce(memory, comparison, alternative, square):
     """Write the sums of an alternative without its intercept and what was before the first command."""
     gram = memory.grams[FIRST_GRAM[comparison] + alternative]
-    for i in range(REGRESSORS):
-        for j in range(REGRESSORS):
-            square[i, j] = gram[i, j]
+    square[:, :] = gram
     intercept, before = RULES[comparison, RULE.intercept], RULES[comparison, RULE.before]
     if before > 0.0:
         _eliminate(square, X3, before)

@@ -111,8 +111,7 @@ def _explain_turn(memory, time, turned):
 def begin_pose(memory):
     """Forget the last pose."""
     memory.placed[0] = math.nan
-    for i in range(len(MOVED)):
-        memory.moved[i] = 0.0
+    memory.moved[:] = 0.0
 
 
 @inlined

@@ -32,15 +32,13 @@ def _start_requests(now, speed, yaw_rate, wheel, command, memory, settings):
     """Begin with the first command; until then the car turned as it was measured to."""
     memory.request_count, memory.request = 1, 0
     row = memory.requests[0]
-    for i in range(len(INTEGRAL)):
-        row[i] = 0.0
+    row[:] = 0.0
     row[INTEGRAL.t], row[INTEGRAL.command] = now, command
     gain = _gain(max(speed, CRAWLING), settings)
     turning = yaw_rate if math.isfinite(yaw_rate) and speed > CRAWLING else command * gain
     angle = clip(wheel if math.isfinite(wheel) else turning / gain, -LIMIT, LIMIT)
     memory.begun_at, memory.command, memory.wheels[0] = now, command, 0.0
-    for bank in range(1, BANKS):
-        memory.wheels[bank] = angle
+    memory.wheels[1:] = angle
     memory.begun_with[0], memory.begun_with[1] = turning, angle
 
 

@@ -17,10 +17,10 @@ SWEEPS = 30
 
 
 @inlined
-def _product(a, b, c):
+def product(a, b, c):
+    """C = A B: (m, k), (k, n), (m, n)."""
     for i in range(a.shape[0]):
-        for j in range(b.shape[1]):
-            c[i, j] = 0.0
+        c[i, :] = 0.0
         for k in range(a.shape[1]):
             factor = a[i, k]
             for j in range(b.shape[1]):
@@ -31,17 +31,28 @@ def _product(a, b, c):
 def multiply_matrices(a, b, c):
     """C = A B for each of n pairs: (n, m, k), (n, k, p), (n, m, p)."""
     for i in range(a.shape[0]):
-        _product(a[i], b[i], c[i])
+        product(a[i], b[i], c[i])
 
 
 @inlined
-def _swap(a, i, k):
+def largest_pivot(a, k):
+    """The row from k on with the largest entry in column k; the first of several."""
+    pivot = k
+    for i in range(k + 1, a.shape[0]):
+        if abs(a[i, k]) > abs(a[pivot, k]):
+            pivot = i
+    return pivot
+
+
+@inlined
+def swap_rows(a, i, k):
+    """Exchange two rows."""
     for j in range(a.shape[1]):
         a[i, j], a[k, j] = a[k, j], a[i, j]
 
 
 @inlined
-def _take_off(a, i, factor, k, first):
+def take_off(a, i, factor, k, first):
     """Row i less a multiple of row k, from a column on."""
     for j in range(first, a.shape[1]):
         a[i, j] -= factor * a[k, j]
@@ -51,24 +62,21 @@ def _take_off(a, i, factor, k, first):
 def _solve(a, b):
     n = a.shape[0]
     for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(a[i, k]) > abs(a[pivot, k]):
-                pivot = i
+        pivot = largest_pivot(a, k)
         if a[pivot, k] == 0.0:
             return False
         if pivot != k:
-            _swap(a, pivot, k)
-            _swap(b, pivot, k)
+            swap_rows(a, pivot, k)
+            swap_rows(b, pivot, k)
         for i in range(k + 1, n):
             factor = a[i, k] / a[k, k]
-            _take_off(a, i, factor, k, k + 1)
-            _take_off(b, i, factor, k, 0)
+            take_off(a, i, factor, k, k + 1)
+            take_off(b, i, factor, k, 0)
     for k in range(n - 1, -1, -1):
         for j in range(b.shape[1]):
             b[k, j] /= a[k, k]
         for i in range(k):
-            _take_off(b, i, a[i, k], k, 0)
+            take_off(b, i, a[i, k], k, 0)
     return True
 
 
@@ -104,8 +112,7 @@ def triangularise(columns):
             for i in range(k, m):
                 columns[j, i] -= along * columns[k, i]
         columns[k, k] = -norm
-        for i in range(k + 1, m):
-            columns[k, i] = 0.0
+        columns[k, k + 1 :] = 0.0
 
 
 @exported(void(cube, cube, vector))
@@ -113,9 +120,7 @@ def write_spectral_radii(a, work, radii):
     """Write the spectral radius of each of n matrices (n, m, m), by squaring; they are overwritten. work: (2, m, m)."""
     m = a.shape[1]
     for matrix_number in range(a.shape[0]):
-        for i in range(m):
-            for j in range(m):
-                work[0, i, j] = a[matrix_number, i, j]
+        work[0, :, :] = a[matrix_number]
         logarithm, share = 0.0, 1.0
         for squaring in range(SQUARINGS):
             present, then = work[squaring % 2], work[(squaring + 1) % 2]
@@ -130,7 +135,7 @@ def write_spectral_radii(a, work, radii):
             for i in range(m):
                 for j in range(m):
                     present[i, j] /= norm
-            _product(present, present, then)
+            product(present, present, then)
             share *= 0.5
         radii[matrix_number] = exp(logarithm)
 
@@ -194,11 +199,11 @@ def solve_bands(factor, b):
     w, n = factor.shape[0] - 1, factor.shape[1]
     for j in range(n):
         for k in range(max(0, j - w), j):
-            _take_off(b, j, factor[w + k - j, j], k, 0)
+            take_off(b, j, factor[w + k - j, j], k, 0)
         for i in range(b.shape[1]):
             b[j, i] /= factor[w, j]
     for j in range(n - 1, -1, -1):
         for k in range(j + 1, min(n, j + w + 1)):
-            _take_off(b, j, factor[w + j - k, k], k, 0)
+            take_off(b, j, factor[w + j - k, k], k, 0)
         for i in range(b.shape[1]):
             b[j, i] /= factor[w, j]

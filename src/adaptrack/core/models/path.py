@@ -114,9 +114,7 @@ def discretise_disturbed(speed, period, c, f, b):
 
     f (5, .), b (5 and more,): by `PATH_STATE`; speed: m/s, > 0. Without lag the wheel angle is the command.
     """
-    for i in range(PATH_STATES):
-        for j in range(len(PATH_STATE)):
-            f[i, j] = 0.0
+    f[:, :] = 0.0
     _hold(speed, period, c, f, b)
     if not c.lag > 0.0:
         f[PATH_STATE.wheel_angle, PATH_STATE.wheel_angle], b[PATH_STATE.wheel_angle] = 0.0, 1.0

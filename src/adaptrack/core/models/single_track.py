@@ -24,10 +24,7 @@ _square, _column = local(len(_Q), 8), local(len(_Q))
 def linearise(speed, parameters, a, b):
     """Eq. (7): write A_c (4, 4) and B_c (4,) at a longitudinal speed (m/s, > 0)."""
     mass, inertia, lf, lr, cf, cr = unpack(parameters)
-    for i in range(len(_X)):
-        b[i] = 0.0
-        for j in range(len(_X)):
-            a[i, j] = 0.0
+    a[:, :], b[:] = 0.0, 0.0
     a[_X.vy, _X.vy] = -2.0 * (cf + cr) / (mass * speed)
     a[_X.vy, _X.yaw_rate] = -speed - 2.0 * (cf * lf - cr * lr) / (mass * speed)
     a[_X.yaw, _X.yaw_rate] = 1.0
@@ -51,8 +48,7 @@ def discretise(speed, period, parameters, a, b, e):
     """
     m, command = _square(), _column()
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
-    for i in range(len(_X)):
-        e[i] = 0.0
+    e[:] = 0.0
     linearise(speed, parameters, a, b)
     for i, row in ((_Q.vy, _X.vy), (_Q.yaw_rate, _X.yaw_rate)):
         command[i] = b[row]

@@ -312,8 +312,7 @@ def _close(w):
 def _pass(car, planning):
     """Forward, then backward; on a closed road once around before it counts."""
     w, laps = planning.table[PLAN.square], 2 if planning.route.line.numbers[CLOSED] > 0.5 else 1
-    for k in range(w.size):
-        w[k] = planning.table[PLAN.ceiling, k]
+    w[:] = planning.table[PLAN.ceiling]
     for lap in range(laps):
         if lap > 0:
             _close(w)

@@ -164,11 +164,9 @@ def observe(slot, vehicles, observed):
 @inlined
 def place_one(slot, start, block, states):
     """Set the state of one slot to its row of start (slots, n)."""
-    _, n = start.shape
     for j in range(PLANT_STATES):
         block[state_at(j, slot)] = start[slot, j] if j < MOTION_STATES else 0.0
-    for j in range(n):
-        states[slot, j] = start[slot, j]
+    states[slot, :] = start[slot]
 
 
 @exported(void(int64, matrix, vector, matrix))

@@ -106,8 +106,7 @@ def observe(member, parameters, block, states, work, slot, observed):
     angle = wheel_angle(steering, command, parameters[USER_ACTUATOR.lag], limit)
     work[_GIVEN, U.steering] = angle
     x, slope = work[_X, :n], work[_K1, :n]
-    for j in range(n):
-        x[j] = states[slot, j]
+    x[:] = states[slot]
     around = work[_AROUND, : _environment_size(parameters)]
     call_right_hand_side(member, x, work[_GIVEN, : len(U)], around, parameters[USER_PARAMETERS:], slope)
     lateral = slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate]

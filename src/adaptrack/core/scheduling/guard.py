@@ -73,8 +73,7 @@ def too_near_instability(variables, tuning, guard, integers, numbers, point, wor
 @inlined
 def _take_fallback(guard, memory, tuning):
     memory.fallback += 1
-    for s in range(4):
-        tuning[s] = guard.fallback[s]
+    tuning[:4] = guard.fallback
 
 
 @inlined

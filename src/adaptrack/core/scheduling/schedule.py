@@ -124,6 +124,7 @@ def schedule(slot, variables, plan, tuning):
     """
     settings, memory = plan.settings[0], plan.memory[slot]
     x, values, work = _parts(plan.scratch)
+    entries = settings.n_entries
     memory.steps += 1
     clipped, is_far, broken = _clip_inputs(variables, settings, x)
     if clipped:
@@ -133,17 +134,14 @@ def schedule(slot, variables, plan, tuning):
     if broken:
         memory.broken += 1
     if not broken:
-        for s in range(settings.n_entries):
-            tuning[s] = values[s]
+        tuning[:entries] = values[:entries]
     elif settings.guard.used == 0:
         if memory.holding == 1:
-            for s in range(settings.n_entries):
-                tuning[s] = memory.last[s]
+            tuning[:entries] = memory.last[:entries]
         return
     if settings.guard.used == 1:
         supervise(variables, tuning, is_far or broken, settings.guard, memory, plan.integers, plan.numbers, work)
-    for s in range(settings.n_entries):
-        memory.last[s] = tuning[s]
+    memory.last[:entries] = tuning[:entries]
     memory.holding = 1
 
 

@@ -82,10 +82,8 @@ def _write_numbers(k, slot, run, row):
     row[FRAME.wind] = around.wind_y * cos(yaw) - around.wind_x * sin(yaw)
     row[FRAME.guard] = _guarded(slot, run)
     behind, n_answers = row[len(FRAME) :], answer.size - 1
-    for j in range(n_answers):
-        behind[j] = answer[1 + j]
-    for j in range(behind.size - n_answers):
-        behind[n_answers + j] = run.controller.tuning[slot, j]
+    behind[:n_answers] = answer[1:]
+    behind[n_answers:] = run.controller.tuning[slot, : behind.size - n_answers]
 
 
 @inlined
@@ -94,8 +92,7 @@ def _write_path(slot, run, speeds, points):
     roads, road = run.inputs.roads, run.inputs.roads.of[run.inputs.scenario[slot]]
     station = run.memory.drives[slot].station_estimate if road >= 0 else state_of(run.vehicles.block, slot).x
     count, _ = predict_path(slot, station, speeds, road, roads, run.controller.mpc, points)
-    for j in range(2 * count, points.size):
-        points[j] = math.nan
+    points[2 * count :] = math.nan
 
 
 @inlined

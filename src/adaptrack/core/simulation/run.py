@@ -390,10 +390,7 @@ def _count_answer(k, slot, run):
         result.iterations += whole(answer[mpc.MPC_ANSWER.qp_iterations])
     if run.features.traces:
         row, size = run.trace.answer[slot, k], answer.size
-        for j in range(size):
-            row[j] = answer[j]
-        for j in range(row.size - size):
-            row[size + j] = tuning[j]
+        row[:size], row[size:] = answer, tuning[: row.size - size]
 
 
 _drive_period = period_of(_arrive, _prepare, _control, _depart)

@@ -237,15 +237,12 @@ def _keep_past(k, station, drive, past, measured):
     """Add what there is to measure now to the instants before; at the first instant fill all of them with it."""
     instants, _ = past.shape
     for i in range(instants - 1, 0, -1):
-        for j in range(len(PAST_SIGNAL)):
-            past[i, j] = past[i - 1, j]
-    for j in range(SENSED):
-        past[0, j] = measured[j]
+        past[i, :] = past[i - 1]
+    past[0, :SENSED] = measured[:SENSED]
     past[0, PAST_SIGNAL.speed], past[0, PAST_SIGNAL.station] = drive.speed, station
     if k == 0:
         for i in range(1, instants):
-            for j in range(len(PAST_SIGNAL)):
-                past[i, j] = past[0, j]
+            past[i, :] = past[0]
 
 
 @inlined

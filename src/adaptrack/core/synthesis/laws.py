@@ -6,9 +6,10 @@ import math
 
 from ..controllers import lqr, pure_pursuit, stanley
 from ..controllers.contract import COMMON_PARAMETERS
-from ..kernel import Row, exported, float64, inlined, int64, local, matrix, packer, record, vector, void
+from ..kernel import Row, exported, float64, inlined, int64, local, matrix, packer, record, shaped, vector, void
 from ..maths.exact import square
 from ..maths.exponential import exp, log
+from ..maths.matrices import largest_pivot, product, swap_rows, take_off
 from ..maths.matrix_exponential import apply, integrals
 from ..models.car import CarRow, SteeringRow
 from .car import rear_slip_gradient, understeer_gradient
@@ -31,7 +32,7 @@ LQR_NUMBERS = len(lqr.PARAMETERS) + GAIN_SPEED_COUNT * GAIN_WEIGHTS * GAIN_WEIGH
 """Numbers of the LQR."""
 _N = lqr.LQR_STATES
 _columns, _column, _square = local(_N, 8), local(_N), local(_N, _N)
-_doubling = local(7 * _N * _N)
+_doubling = local(6 * _N * _N)
 
 
 @exported(float64(Row(SteeringRow)))
@@ -94,62 +95,38 @@ def sampled_error_model(car, period, speed, a, b):
 
 
 @inlined
-def _times(n, a, b, c):
-    """C = A B, (n, n) in a row each."""
-    for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += a[n * i + k] * b[n * k + j]
-            c[n * i + j] = total
-
-
-@inlined
-def _exchange(n, i, j, a):
-    for k in range(n):
-        a[n * i + k], a[n * j + k] = a[n * j + k], a[n * i + k]
-
-
-@inlined
-def _solve(n, w, x, y):
+def _solve(w, x, y):
     """X = W^-1 X and Y = W^-1 Y by elimination with the largest pivots; W (n, n) is overwritten."""
+    n = w.shape[0]
     for k in range(n):
-        best = k
+        pivot = largest_pivot(w, k)
+        for rows in (w, x, y):
+            swap_rows(rows, k, pivot)
         for i in range(k + 1, n):
-            if abs(w[n * i + k]) > abs(w[n * best + k]):
-                best = i
-        _exchange(n, k, best, w)
-        _exchange(n, k, best, x)
-        _exchange(n, k, best, y)
-        for i in range(k + 1, n):
-            share = w[n * i + k] / w[n * k + k]
-            for j in range(k, n):
-                w[n * i + j] -= share * w[n * k + j]
-            for j in range(n):
-                x[n * i + j] -= share * x[n * k + j]
-                y[n * i + j] -= share * y[n * k + j]
+            share = w[i, k] / w[k, k]
+            take_off(w, i, share, k, k)
+            take_off(x, i, share, k, 0)
+            take_off(y, i, share, k, 0)
     for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            take_off(x, i, w[i, k], k, 0)
+            take_off(y, i, w[i, k], k, 0)
         for j in range(n):
-            for k in range(i + 1, n):
-                x[n * i + j] -= w[n * i + k] * x[n * k + j]
-                y[n * i + j] -= w[n * i + k] * y[n * k + j]
-            x[n * i + j] /= w[n * i + i]
-            y[n * i + j] /= w[n * i + i]
+            x[i, j] /= w[i, i]
+            y[i, j] /= w[i, i]
 
 
 @inlined
-def _add_turned(n, f, y, z, p):
-    """P += F'Y; z: scratch. Sums of the magnitudes of what is added, and of P."""
-    change, size = 0.0, 0.0
+def _add_turned(f, y, p):
+    """P += F'Y. Sums of the magnitudes of what is added, and of P."""
+    n, change, size = p.shape[0], 0.0, 0.0
     for i in range(n):
         for j in range(n):
             total = 0.0
             for k in range(n):
-                total += f[n * k + i] * y[n * k + j]
-            z[n * i + j] = total
-    for i in range(n * n):
-        p[i] += z[i]
-        change, size = change + abs(z[i]), size + abs(p[i])
+                total += f[k, i] * y[k, j]
+            p[i, j] += total
+            change, size = change + abs(total), size + abs(p[i, j])
     return change, size
 
 
@@ -157,8 +134,8 @@ def _add_turned(n, f, y, z, p):
 def riccati(a, b, q, p, work):
     """Write P (n, n) of the discrete algebraic Riccati equation of x' = A x + B u with the cost sum x'Q x + u^2.
 
-    A, Q (n, n), B (n,); work: 7 n^2 numbers. The doublings it took; 0: it does not converge, for the weights are
-    further apart than float64 can tell.
+    A, Q (n, n), B (n,); work: 6 n^2 numbers at least. The doublings it took; 0: it does not converge, for the weights
+    are further apart than float64 can tell.
 
         W = I + G P,   G += F W^-1 G F',   P += F' P W^-1 F,   F = F W^-1 F,   from F = A, G = B B', P = Q
 
@@ -166,38 +143,33 @@ def riccati(a, b, q, p, work):
     algebraic Riccati equations*, Int. J. Control 77 (2004).
     """
     n = b.size
-    size = n * n
-    f, g, w, solution = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size : 4 * size]
-    x, y, z = work[4 * size : 5 * size], work[5 * size : 6 * size], work[6 * size : 7 * size]
+    parts = shaped(work[: 6 * n * n], 6, n, n)
+    f, g, w, solution, x, y = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]
     for i in range(n):
         for j in range(n):
-            f[n * i + j], g[n * i + j], solution[n * i + j] = a[i, j], b[i] * b[j], q[i, j]
+            f[i, j], g[i, j], solution[i, j] = a[i, j], b[i] * b[j], q[i, j]
     for doublings in range(1, MOST_DOUBLINGS + 1):
-        _times(n, g, solution, w)
+        product(g, solution, w)
         for i in range(n):
-            w[n * i + i] += 1.0
-        for i in range(size):
-            x[i], y[i] = f[i], g[i]
-        _solve(n, w, x, y)  # W^-1 F, W^-1 G
-        _times(n, f, y, w)
+            w[i, i] += 1.0
+        x[:, :], y[:, :] = f, g
+        _solve(w, x, y)  # W^-1 F, W^-1 G
+        product(f, y, w)
         for i in range(n):  # G + F W^-1 G F'
             for j in range(n):
                 total = 0.0
                 for k in range(n):
-                    total += w[n * i + k] * f[n * j + k]
-                g[n * i + j] += total
-        _times(n, solution, x, y)
-        change, entries = _add_turned(n, f, y, z, solution)
+                    total += w[i, k] * f[j, k]
+                g[i, j] += total
+        product(solution, x, y)
+        change, entries = _add_turned(f, y, solution)
         if not entries < math.inf:
             return 0
         if change <= CONVERGED * entries:
-            for i in range(n):
-                for j in range(n):
-                    p[i, j] = solution[n * i + j]
+            p[:, :] = solution
             return doublings
-        _times(n, f, x, w)
-        for i in range(size):
-            f[i] = w[i]
+        product(f, x, w)
+        f[:, :] = w
     return 0
 
 

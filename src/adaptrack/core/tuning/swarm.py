@@ -155,12 +155,9 @@ def begin(seed, stream, settings, space, swarm):
             if integers > 0.5:
                 low = ceil(low)
             x[larger] = place_between(low, high, integers, counted_uniform(seed, stream, 0, i, larger))
-        for d in range(dims):
-            swarm.v[i, d] = 0.0
-            swarm.best[i, d] = x[d]
+        swarm.v[i, :], swarm.best[i, :] = 0.0, x
         swarm.best_costs[i] = math.inf
-    for d in range(dims):
-        swarm.leader[d] = swarm.x[0, d]
+    swarm.leader[:] = swarm.x[0]
     swarm.progress[PROGRESS.leader_cost], swarm.progress[PROGRESS.w] = math.inf, 0.0
     swarm.progress[PROGRESS.c1], swarm.progress[PROGRESS.c2] = settings[SWARM_SETTING.c1], settings[SWARM_SETTING.c2]
 
@@ -171,17 +168,14 @@ def learn(costs, swarm):
 
     Only a strictly lower cost replaces a best one, and of equal costs the first particle's leads. NaN counts as +inf.
     """
-    _, dims = swarm.x.shape
     for i in range(costs.size):
         if costs[i] < swarm.best_costs[i]:  # never true for NaN
             swarm.best_costs[i] = costs[i]
-            for d in range(dims):
-                swarm.best[i, d] = swarm.x[i, d]
+            swarm.best[i, :] = swarm.x[i]
     for i in range(costs.size):
         if swarm.best_costs[i] < swarm.progress[PROGRESS.leader_cost]:
             swarm.progress[PROGRESS.leader_cost] = swarm.best_costs[i]
-            for d in range(dims):
-                swarm.leader[d] = swarm.best[i, d]
+            swarm.leader[:] = swarm.best[i]
 
 
 @exported(void(int64, int64, int64, vector, matrix, Place(Particles)))
