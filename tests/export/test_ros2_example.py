@@ -406,7 +406,7 @@ RATE = 1.5
 
 
 def to_rest(time, x=None, speed=6.0, frame="map", rate=RATE):
-    """A message by which a car brakes from a speed (m/s) to rest, along the x axis, from a place of the rear axle on."""
+    """A message that leads to rest along the x axis: from a place (m) of the rear axle and a speed (m/s) on."""
     t = np.minimum(0.1 * np.arange(60), speed / rate)
     x = 6.0 * time if x is None else x
     points = np.stack([x + speed * t - 0.5 * rate * t**2, np.zeros(60)], axis=-1)
@@ -415,7 +415,7 @@ def to_rest(time, x=None, speed=6.0, frame="map", rate=RATE):
 
 
 class Planned:
-    """A car of some speed on the x axis, on time, behind a follower: a trajectory arrives every 0.1 s until `silent`."""
+    """A car at 6 m/s on the x axis behind a follower: a trajectory arrives every 0.1 s, until `silent` (s)."""
 
     def __init__(self, node, silent=math.inf):
         self.node, self.silent, self.speed, self.x, self.k = node, silent, 6.0, 0.0, 0

@@ -136,7 +136,7 @@ class ComparisonConfig(Record):
             if self.planner and not isinstance(mover, SpeedControl):
                 raise ValueError(f"planner: does not drive with {driver!r}; its drivers are speed controls.")
         if self.planner and (self.budget or self.prescribed_speed):
-            raise ValueError("planner: needs budget = 0 and no prescribed_speed.")
+            raise ValueError("planner: needs budget = 0 (--budget 0) and no prescribed_speed.")
         make_planner(self.planner)
         return self
 

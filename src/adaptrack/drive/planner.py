@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from operator import itemgetter
 from types import SimpleNamespace
@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Natural, NotNegative, Positive, checked
+from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import is_number
 from adaptrack.control.controllers import Controller
 from adaptrack.control.following import Following
 from adaptrack.control.speed_control import SpeedControl
@@ -55,13 +56,13 @@ class SimulatedPlanner:
     road, otherwise in the direction of motion.
     """
 
-    period: Annotated[Positive, "s"] = 0.1
+    period: Annotated[Finite, within(0.001, 1000.0), "s"] = 0.1
     delay: Annotated[NotNegative, "s"] = 0.0
     jitter: Annotated[NotNegative, "s"] = 0.0
     start: Literal["line", "pose"] = "line"
-    spacing: Annotated[Positive, "m"] = 1.0
+    spacing: Annotated[Finite, within(0.01, 1000.0), "m"] = 1.0
     noise: Annotated[NotNegative, "m"] = 0.0
-    horizon: Annotated[Positive, "s"] = 4.0
+    horizon: Annotated[Finite, within(0.01, 100.0), "s"] = 4.0
     merge: Annotated[Positive, "s"] = 3.0
     seed: Natural = 0
 
@@ -73,14 +74,17 @@ class SimulatedPlanner:
 def make_planner(text: str) -> SimulatedPlanner:
     """Return a planner with settings such as ``period=0.1,delay=0.3,start=pose``; raises `InvalidInput`."""
     names = [field.name for field in fields(SimulatedPlanner)]
-    settings = dict(entry.partition("=")[::2] for entry in text.split(",") if entry)
-    if unknown := [name for name, value in settings.items() if name not in names or not value]:
-        raise InvalidInput(f"planner {text!r}: {unknown[0]!r} must be NAME=VALUE, with a name of {', '.join(names)}.")
-    kinds: Mapping[str, Any] = {"start": str, "seed": int}
+    settings: dict[str, Any] = {}
+    for entry in filter(None, map(str.strip, text.split(","))):
+        name, value = (word.strip() for word in entry.partition("=")[::2])
+        if name not in names or not value:
+            raise InvalidInput(f"planner {text!r}: {name!r} must be NAME=VALUE, with a name of {', '.join(names)}.")
+        # Text that is no number stays text, which the checks of the planner refuse.
+        settings[name] = int(value) if value.isdecimal() else float(value) if is_number(value) else value
     try:
-        return SimulatedPlanner(**{name: kinds.get(name, float)(value) for name, value in settings.items()})
-    except ValueError as error:
-        raise InvalidInput(f"planner {text!r}: {error}.") from None
+        return SimulatedPlanner(**settings)
+    except InvalidInput as error:
+        raise InvalidInput(f"planner {text!r}: {str(error).removeprefix('SimulatedPlanner: ')}") from None
 
 
 class PlannerRun:
@@ -241,9 +245,13 @@ class PlannedController(SampledController):
         self.instant, self.tracker, self._run = 0, self.make_tracker(), self.planner.begin(drive)
 
     def answer(self, sample: Array) -> SimpleNamespace:
-        for trajectory, fallback in self._run.step(sample):
-            self.tracker.follow(trajectory, fallback=fallback, now=float(sample[TRACKER_SAMPLE.now]))
         signals = dict(zip(TRACKER_SAMPLE._fields, sample.tolist(), strict=True))
+        try:
+            for trajectory, fallback in self._run.step(sample):
+                self.tracker.follow(trajectory, fallback=fallback, now=signals["now"])
+        except InvalidInput as error:
+            raise InvalidInput(f"planner: no car can follow its trajectory at {signals['now']:.4g} s (less noise or "
+                               f"larger spacing may help): {error}") from None  # fmt: skip
         tracked = self.tracked = self.tracker.step(**{name: signals[name] for name in _SIGNALS})
         late = {"late": tracked.late}
         return SimpleNamespace(angle=tracked.command, longitudinal=tracked.longitudinal, diagnostics=late)
