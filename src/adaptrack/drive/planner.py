@@ -74,12 +74,10 @@ class SimulatedPlanner:
 def make_planner(text: str) -> SimulatedPlanner:
     """Return a planner with settings such as ``period=0.1,delay=0.3,start=pose``; raises `InvalidInput`."""
     names = [field.name for field in fields(SimulatedPlanner)]
-    settings: dict[str, Any] = {}
-    for entry in filter(None, map(str.strip, text.split(","))):
-        name, value = (word.strip() for word in entry.partition("=")[::2])
-        if name not in names or not value:
-            raise InvalidInput(f"planner {text!r}: {name!r} must be NAME=VALUE, with a name of {', '.join(names)}.")
-        # Text that is no number stays text, which the checks of the planner refuse.
+    settings: dict[str, Any] = dict(entry.partition("=")[::2] for entry in text.replace(" ", "").split(",") if entry)
+    if unknown := [name for name, value in settings.items() if name not in names or not value]:
+        raise InvalidInput(f"planner {text!r}: {unknown[0]!r} must be NAME=VALUE, with a name of {', '.join(names)}.")
+    for name, value in settings.items():  # other text remains, and the planner refuses it
         settings[name] = int(value) if value.isdecimal() else float(value) if is_number(value) else value
     try:
         return SimulatedPlanner(**settings)
@@ -139,8 +137,9 @@ class PlannerRun:
             to_go = np.maximum(1.0 - (s - begin) / merge, 0.0)
             slope = portable.tan(sample.yaw + turn + drift - float(foot.heading)) if math.isfinite(drift) else 0.0
             growth = 2.0 * float(foot.offset) / merge + slope
-            offset = (float(foot.offset) + growth * (s - begin)) * to_go * to_go  # a cubic, that ends along the road
-            slopes = growth * to_go * to_go - 2.0 * (float(foot.offset) + growth * (s - begin)) * to_go / merge
+            tangent = float(foot.offset) + growth * (s - begin)
+            offset = tangent * to_go * to_go  # a cubic, that ends along the road
+            slopes = growth * to_go * to_go - 2.0 * tangent * to_go / merge
             x, y = x - offset * portable.sin(yaw), y + offset * portable.cos(yaw)
             yaw = yaw + portable.atan(slopes)
         noise = planner.noise * self._rng.standard_normal((2, s.size))
@@ -196,18 +195,15 @@ class SampledController(Controller):
     ) -> Any:
         time, measured = self.instant * self.period, np.asarray(state, dtype=float)
         assert road is not None
-        age = float(measured[MEASUREMENT.pose_age])
-        age = age if math.isfinite(age) else 0.0
+        ages = measured[[MEASUREMENT.pose_age, MEASUREMENT.motion_age]]
+        age, motion_age = np.where(np.isfinite(ages), ages, 0.0).tolist()
         foot = road.road.at(road.station - age * speed)
         offset, yaw = float(measured[MEASUREMENT.y]), float(foot.heading) + float(measured[MEASUREMENT.yaw])
         x, y = float(foot.x) - offset * portable.sin(foot.heading), float(foot.y) + offset * portable.cos(foot.heading)
-        signals = [float(measured[i]) for i in (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration)]
+        motion = [MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration, MEASUREMENT.wheel_angle]
         sample = np.full(len(TRACKER_SAMPLE), math.nan)
-        sample[: TRACKER_SAMPLE.friction] = (
-            time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle],
-        )  # fmt: skip
-        motion_age = float(measured[MEASUREMENT.motion_age])
-        sample[TRACKER_SAMPLE.motion_time] = time - (motion_age if math.isfinite(motion_age) else 0.0)
+        sample[: TRACKER_SAMPLE.friction] = time - age, time, x, y, yaw, speed, *measured[motion]
+        sample[TRACKER_SAMPLE.motion_time] = time - motion_age
         self.instant += 1
         return self.answer(sample)
 
@@ -250,8 +246,7 @@ class PlannedController(SampledController):
             for trajectory, fallback in self._run.step(sample):
                 self.tracker.follow(trajectory, fallback=fallback, now=signals["now"])
         except InvalidInput as error:
-            raise InvalidInput(f"planner: no car can follow its trajectory at {signals['now']:.4g} s (less noise or "
-                               f"larger spacing may help): {error}") from None  # fmt: skip
+            raise InvalidInput(f"planner: impossible at {signals['now']:.4g} s, choose less noise: {error}") from None
         tracked = self.tracked = self.tracker.step(**{name: signals[name] for name in _SIGNALS})
         late = {"late": tracked.late}
         return SimpleNamespace(angle=tracked.command, longitudinal=tracked.longitudinal, diagnostics=late)
