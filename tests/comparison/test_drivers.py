@@ -42,7 +42,7 @@ def test_a_driver_is_made_by_its_name_with_its_options():
 @pytest.mark.parametrize(("changes", "words"), [
     ({"drivers": ["speedcontrol"]}, "Did you mean 'speed-control'"),
     ({"drivers": ["driver:gard=0.5"]}, "'gard'; options, as in friction=0.6:0.9: preview, integral, guard"),
-    ({"drivers": ["driver:guard=high"]}, "could not convert string to float: 'high'"),
+    ({"drivers": ["driver:guard=high"]}, "driver 'driver:guard=high': guard = 'high': must be a number, or two"),
     ({"drivers": ["speed-control:friction=0.9:0.6"]}, r"friction = \(0.9, 0.6\)"),
     ({"drivers": ["driver"], "budget": 50}, "need budget = 0"),
     ({"frictions": [0.0]}, "greater than 0"),

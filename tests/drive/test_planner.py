@@ -158,7 +158,8 @@ def test_a_scenario_without_a_road_has_no_planner():
 
 def test_noise_that_makes_a_trajectory_impossible_is_refused_with_the_time_and_a_remedy():
     drive = at.RoadDrive(BEND, constant_speed(BEND, 10.0))
-    with pytest.raises(at.InvalidInput, match=r"^planner: impossible at 0 s, choose less noise: .*the place jumps"):
+    message = r"^planner: its trajectory at 0 s is impossible \(entry 1: the place jumps .*\): choose less noise"
+    with pytest.raises(at.InvalidInput, match=message):
         at.simulate(at.DualTrack(CAR), planned(SimulatedPlanner(noise=20.0)), drive, profile="road")
 
 

@@ -143,7 +143,12 @@ class PlannerRun:
             x, y = x - offset * portable.sin(yaw), y + offset * portable.cos(yaw)
             yaw = yaw + portable.atan(slopes)
         noise = planner.noise * self._rng.standard_normal((2, s.size))
-        return PlannedTrajectory(t, x + noise[0], y + noise[1], yaw=yaw, speed=plan.at(s), stamp=stamp)
+        try:
+            return PlannedTrajectory(t, x + noise[0], y + noise[1], yaw=yaw, speed=plan.at(s), stamp=stamp)
+        except InvalidInput as error:
+            flaw = str(error).removeprefix("PlannedTrajectory: ").rpartition(": ")[0]
+            where = f"its trajectory at {stamp:.4g} s is impossible ({flaw})"
+            raise InvalidInput(f"planner: {where}: choose less noise, or a smaller spacing.") from None
 
     def _places(self, begin: float, until: float) -> tuple[Array, Array]:
         """Return places (m) from one on, up to that of the plan at a time (s), and the pauses (s) made there before.
@@ -242,11 +247,8 @@ class PlannedController(SampledController):
 
     def answer(self, sample: Array) -> SimpleNamespace:
         signals = dict(zip(TRACKER_SAMPLE._fields, sample.tolist(), strict=True))
-        try:
-            for trajectory, fallback in self._run.step(sample):
-                self.tracker.follow(trajectory, fallback=fallback, now=signals["now"])
-        except InvalidInput as error:
-            raise InvalidInput(f"planner: impossible at {signals['now']:.4g} s, choose less noise: {error}") from None
+        for trajectory, fallback in self._run.step(sample):
+            self.tracker.follow(trajectory, fallback=fallback, now=signals["now"])
         tracked = self.tracked = self.tracker.step(**{name: signals[name] for name in _SIGNALS})
         late = {"late": tracked.late}
         return SimpleNamespace(angle=tracked.command, longitudinal=tracked.longitudinal, diagnostics=late)
