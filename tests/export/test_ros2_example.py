@@ -935,6 +935,20 @@ def test_a_path_in_another_frame_stops_the_car(driving):
     assert driving.tick(0.05).stopping == "the path is in frame 'odom', the odometry in 'map'"
 
 
+def test_an_export_by_a_file_that_cannot_be_used_ends_in_a_sentence(monkeypatch, tmp_path):
+    pytest.importorskip("yaml")
+    file, text = tmp_path / "follower.yaml", (PACKAGE / "config" / "follower.yaml").read_text()
+    file.write_text(text.replace("follow: path", "follow: paths"))
+    for words, says in (
+        ([file, tmp_path], "export_controller: follow = 'paths': must be one of path, trajectory."),
+        ([tmp_path / "none.yaml", tmp_path], "export_controller: .*No such file"),
+        ([file, tmp_path, "aarch64"], "usage: python3 -m adaptrack_ros.export_controller follower.yaml FOLDER"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["export_controller", *map(str, words)])
+        with pytest.raises(SystemExit, match=says):
+            package_module("export_controller").main()
+
+
 def test_the_cpp_node_has_parameters_of_the_file_with_their_defaults():
     yaml = pytest.importorskip("yaml")
     defaults = yaml.safe_load((PACKAGE / "config" / "follower.yaml").read_text())["adaptrack_follower"][
