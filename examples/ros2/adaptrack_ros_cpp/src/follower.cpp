@@ -204,7 +204,7 @@ void Follower::fallback(const std::vector<adaptrack_point> &points, double stamp
     fallback_.frame = frame;
 }
 
-// Why the held fallback is not for a trajectory with a stamp (s) that arrives at a time (s); empty: nothing is known.
+// Why the held fallback does not fit a trajectory with a stamp (s) that arrives at a time (s); empty: no flaw.
 std::string Follower::fallback_flaw(double stamp, double now, const std::string &frame) const {
     if (!fallback_.is_held) return {};
     if (fallback_.frame != frame) return "it is in frame '" + fallback_.frame + "', the trajectory in '" + frame + "'";
