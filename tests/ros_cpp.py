@@ -106,7 +106,7 @@ class CppFollower:
 
     def path(self, message, time=None):
         if self.parameters.follow == "trajectory":
-            self._follow_trajectory(message, time)
+            self._send_trajectory(message, time)
             return
         if hasattr(message, "points"):
             rows = [(point.longitudinal_velocity_mps, point.pose) for point in message.points]
@@ -117,7 +117,10 @@ class CppFollower:
         flat = [value for first, pose in rows for value in (first, pose.position.x, pose.position.y)]
         give(self._made, numbers(flat), ctypes.c_size_t(len(rows)), message.header.frame_id.encode())
 
-    def _follow_trajectory(self, message, time):
+    def fallback(self, message, time):
+        self._send_trajectory(message, time, is_fallback=True)
+
+    def _send_trajectory(self, message, time, is_fallback=False):
         stamp, is_path = seconds(message.header.stamp), hasattr(message, "poses")
         rows = [
             (seconds(point.header.stamp) - stamp if is_path else seconds(point.time_from_start),
@@ -127,7 +130,7 @@ class CppFollower:
         ]  # fmt: skip
         self._library.ros_planned(
             self._made, numbers(np.ravel(rows)), ctypes.c_size_t(len(rows)), ctypes.c_double(stamp),
-            ctypes.c_double(time), int(is_path), message.header.frame_id.encode(),
+            ctypes.c_double(time), int(is_path), int(is_fallback), message.header.frame_id.encode(),
         )  # fmt: skip
 
     def engage(self, on, wheel_angle=0.0):

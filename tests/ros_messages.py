@@ -119,6 +119,7 @@ class Network:
     def __init__(self):
         self.now, self.timers, self.topics, self.sent, self.parameters = 1000.0, [], {}, {}, {}
         self.transform = None  # of tf, geometry_msgs/TransformStamped
+        self.warnings = []
 
     def publish(self, topic, message):
         self.sent.setdefault(topic, []).append(message)
@@ -151,7 +152,10 @@ def fake_ros(monkeypatch):
             return Record(value=network.parameters.get(name, value))
 
         def get_logger(self):
-            return Record(info=lambda text: None)
+            def warning(text, throttle_duration_sec):
+                network.warnings.append(text)
+
+            return Record(info=lambda text: None, warning=warning)
 
         def get_clock(self):
             return clock

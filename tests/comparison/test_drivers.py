@@ -42,11 +42,11 @@ def test_a_driver_is_made_by_its_name_with_its_options():
 @pytest.mark.parametrize(("changes", "words"), [
     ({"drivers": ["speedcontrol"]}, "Did you mean 'speed-control'"),
     ({"drivers": ["driver:gard=0.5"]}, "'gard'; options, as in friction=0.6:0.9: preview, integral, guard"),
-    ({"drivers": ["driver:guard=high"]}, "could not convert string to float: 'high'"),
+    ({"drivers": ["driver:guard=high"]}, "driver 'driver:guard=high': guard = 'high': must be a number, or two"),
     ({"drivers": ["speed-control:friction=0.9:0.6"]}, r"friction = \(0.9, 0.6\)"),
     ({"drivers": ["driver"], "budget": 50}, "need budget = 0"),
     ({"frictions": [0.0]}, "greater than 0"),
-    ({"planner": "delay=soon"}, "planner 'delay=soon': could not convert string to float"),
+    ({"planner": "delay=soon"}, "planner 'delay=soon': delay = 'soon': must be a finite number >= 0."),
     ({"planner": "delay=0.1", "budget": 50}, "planner: needs budget = 0"),
     ({"planner": "delay=0.1", "drivers": ["speed-control", "driver"]}, "planner: does not drive with 'driver'"),
 ])  # fmt: skip

@@ -122,9 +122,15 @@ def test_noise_of_points_has_its_standard_deviation_and_is_new_each_time():
     [
         ("period", "'period' must be NAME=VALUE, with a name of period, delay"),
         ("frequency=10", "'frequency' must be NAME=VALUE"),
-        ("delay=soon", "could not convert string to float: 'soon'"),
-        ("delay=-1", "delay = -1.0 s: must be a finite number >= 0"),
-        ("start=here", "start = 'here'"),
+        ("delay=soon", r"^planner 'delay=soon': delay = 'soon': must be a finite number >= 0\.$"),
+        ("delay=-1", r"^planner 'delay=-1': delay = -1.0 s: must be a finite number >= 0\.$"),
+        ("start=here", r"^planner 'start=here': start = 'here': must be one of 'line', 'pose'\.$"),
+        ("seed=1.5", r"^planner 'seed=1.5': seed = 1.5: must be a whole number >= 0\.$"),
+        ("seed=four", r"^planner 'seed=four': seed = 'four': must be a whole number >= 0\.$"),
+        ("period=", "'period' must be NAME=VALUE"),
+        ("period=nan", "period = nan s: must be a finite number >= 0.001 and <= 1000"),
+        ("spacing=0", "spacing = 0 m: must be a finite number >= 0.01 and <= 1000"),
+        ("horizon=1e6", "horizon = 1000000.0 s: must be a finite number >= 0.01 and <= 100"),
     ],
 )
 def test_settings_that_no_planner_has_are_refused_by_name(text, message):
@@ -135,6 +141,7 @@ def test_settings_that_no_planner_has_are_refused_by_name(text, message):
 def test_a_planner_is_made_of_its_settings():
     planner = make_planner("period=0.2,delay=0.3,start=pose,seed=4")
     assert planner == SimulatedPlanner(period=0.2, delay=0.3, start="pose", seed=4)
+    assert make_planner(" period = 1, seed=4, ") == SimulatedPlanner(period=1.0, seed=4)
     assert make_planner("") == SimulatedPlanner()
 
 
@@ -147,6 +154,13 @@ def test_a_scenario_without_a_road_has_no_planner():
     scenario = at.Scenario(name="straight", duration=8.0, reference=0.0, speed=15.0, friction=0.9)
     with pytest.raises(at.InvalidInput, match="'straight' has no road"):
         at.simulate(at.DualTrack(CAR), planned(SimulatedPlanner()), scenario, profile="road")
+
+
+def test_noise_that_makes_a_trajectory_impossible_is_refused_with_the_time_and_a_remedy():
+    drive = at.RoadDrive(BEND, constant_speed(BEND, 10.0))
+    message = r"^planner: its trajectory at 0 s is impossible \(entry 1: the place jumps .*\): choose less noise"
+    with pytest.raises(at.InvalidInput, match=message):
+        at.simulate(at.DualTrack(CAR), planned(SimulatedPlanner(noise=20.0)), drive, profile="road")
 
 
 @pytest.mark.compiled

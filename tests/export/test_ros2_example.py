@@ -401,6 +401,152 @@ def test_a_trajectory_of_a_future_stamp_or_with_falling_times_is_left_out_with_i
     assert timed.diagnosis(1.2)[:2] == (follower.OK, "following")
 
 
+RATE = 1.5
+"""m/s^2, by which a fallback brakes"""
+
+
+def to_rest(time, x=None, speed=6.0, frame="map", rate=RATE):
+    """A message that leads to rest along the x axis: from a place (m) of the rear axle and a speed (m/s) on."""
+    t = np.minimum(0.1 * np.arange(60), speed / rate)
+    x = 6.0 * time if x is None else x
+    points = np.stack([x + speed * t - 0.5 * rate * t**2, np.zeros(60)], axis=-1)
+    speeds = (speed - rate * t).astype(np.float32)  # as in the message
+    return trajectory(points, speeds, frame, 0.1 * np.arange(60), np.zeros(60), t=time)
+
+
+class Planned:
+    """A car at 6 m/s on the x axis behind a follower: a trajectory arrives every 0.1 s, until `silent` (s)."""
+
+    def __init__(self, node, silent=math.inf):
+        self.node, self.silent, self.speed, self.x, self.k = node, silent, 6.0, 0.0, 0
+
+    @property
+    def time(self):
+        return 0.05 * self.k
+
+    def step(self, fallback=None):
+        """Let a period pass; `fallback` arrives before its trajectory."""
+        self.k += 1
+        self.x += 0.05 * self.speed
+        if fallback is not None:
+            self.node.fallback(fallback, self.time)
+        if self.k % 2 and self.time < self.silent:
+            t = 0.1 * np.arange(60)
+            points = np.stack([6.0 * (self.time + t), np.zeros(60)], axis=-1)
+            message = trajectory(points, np.full(60, 6.0), times=t, yaws=np.zeros(60), t=self.time)
+            self.node.path(message, self.time)
+        self.node.pose(odometry(self.time, x=self.x, speed=self.speed))
+        command = self.node.tick(self.time)
+        self.speed += min(max(command.speed - self.speed, -0.15), 0.075)
+        return command
+
+    def diagnosis(self):
+        return self.node.diagnosis(self.time)
+
+
+def test_a_car_whose_planner_falls_silent_comes_to_rest_where_the_newest_fallback_ends(timed):
+    loop = Planned(timed, silent=1.9)
+    while loop.time < 1.85:
+        command = loop.step(to_rest(loop.time + 0.05) if loop.k % 2 == 0 else None)
+    assert loop.diagnosis()[:2] == (follower.OK, "following")
+    assert {"verdict": "taken", "driven by": "planner"}.items() <= loop.diagnosis()[2].items()
+    begin = loop.time  # of the fallback
+    while loop.time < 12.0:
+        command = loop.step()
+        if loop.time > begin + 0.7:
+            level, text, values = loop.diagnosis()
+            assert (level, text, values["driven by"]) == (follower.WARN, follower.ON_FALLBACK, "fallback")
+            assert not command.stopping
+    assert float(values["age of the fallback (s)"]) == pytest.approx(loop.time - begin, abs=0.06)
+    assert loop.speed < 0.05
+    assert loop.x == pytest.approx(6.0 * begin + 6.0**2 / (2.0 * RATE), abs=0.3)
+
+
+def test_a_fallback_between_trajectories_is_handed_over_with_the_next_and_once(timed):
+    loop = Planned(timed)
+    while loop.time < 1.0:
+        loop.step()
+    assert loop.diagnosis()[2]["age of the fallback (s)"] == ""
+    for arrival in (1.05, 1.1):  # with a trajectory, and between two
+        loop.step(to_rest(arrival))
+        assert float(loop.diagnosis()[2]["age of the fallback (s)"]) == pytest.approx(arrival - 1.05, abs=1e-3)
+    loop.step()
+    assert loop.diagnosis()[2]["age of the fallback (s)"] == "0.000"
+    while loop.time < 2.0:
+        loop.step()
+    assert float(loop.diagnosis()[2]["age of the fallback (s)"]) == pytest.approx(loop.time - 1.15, abs=1e-3)
+    assert loop.diagnosis()[:2] == (follower.OK, "following")
+
+
+@pytest.mark.parametrize(("flawed", "says"), [
+    (lambda time: to_rest(time - 1.1), "it is stale"),
+    (lambda time: to_rest(time, frame="odom"), "it is in frame 'odom', the trajectory in 'map'"),
+    (lambda time: to_rest(time, rate=0.1), None),  # it ends at 5.4 m/s
+    (lambda time: trajectory([], []), None),
+], ids=["old stamp", "frame", "no rest", "no points"])  # fmt: skip
+def test_a_fallback_that_cannot_be_used_is_left_out_while_its_trajectory_and_the_fallback_before_are_taken(
+    timed, flawed, says
+):
+    loop = Planned(timed, silent=2.3)
+    for arrival in np.arange(0.05, 2.0, 0.05):
+        loop.step(to_rest(arrival) if arrival < 1.5 else None)
+    loop.step()
+    last = loop.k + 1
+    command = loop.step(flawed(0.05 * last))
+    assert not command.stopping
+    level, text, values = loop.diagnosis()
+    assert level == follower.WARN
+    assert text.startswith("fallback left out: ")
+    assert says is None or text == f"fallback left out: {says}"
+    assert (values["verdict"], values["driven by"]) == ("taken", "planner")
+    while loop.time < 3.2:
+        loop.step()
+    assert loop.diagnosis()[2]["driven by"] == "fallback"
+    assert follower.ON_FALLBACK in loop.diagnosis()[1]
+
+
+def test_the_next_good_fallback_ends_the_warning_of_one_that_was_left_out(timed):
+    loop = Planned(timed)
+    for k in range(1, 30):
+        loop.step(to_rest(0.05 * k, frame="odom" if k < 20 else "map"))
+    assert loop.diagnosis()[:2] == (follower.OK, "following")
+
+
+def test_a_stale_fallback_of_a_planner_without_stamps_is_left_out_by_its_time_of_arrival(timed):
+    loop, message = Planned(timed, silent=0.1), to_rest(0.0)
+    loop.step()
+    loop.step(message)
+    assert message.header.stamp == ros_messages.stamp(0.0)
+    while loop.time < 1.5:
+        loop.step()
+    loop.silent = math.inf
+    loop.step()
+    assert "fallback left out: it is stale" in loop.diagnosis()[1]
+
+
+@pytest.mark.compiled
+def test_both_nodes_come_to_rest_by_a_fallback_to_the_bit(cpp, tmp_path_factory):
+    """Of fallbacks that arrive at random times, some in a different frame, some stale, some without a rest."""
+    parameters, rng = Parameters(follow="trajectory"), np.random.default_rng(7)
+    library = cpp[0].shim(tmp_path_factory.getbasetemp() / "timed", follow="trajectory")
+    loops = [Planned(follower.Follower(parameters), 4.0), Planned(cpp[0].CppFollower(library, parameters), 4.0)]
+    texts = set()
+    for k in range(1, 200):
+        chance, is_stale, frame = rng.random(), rng.random() < 0.2, "odom" if rng.random() < 0.2 else "map"
+        sent = to_rest(0.05 * k - 1.2 * is_stale, 0.3 * k, frame=frame, rate=0.1 if chance < 0.1 else RATE)
+        ours, theirs = (loop.step(sent if chance < 0.4 and k > 30 else None) for loop in loops)
+        assert ours.stopping == theirs.stopping
+        assert np.array_equal([*ours[:3], *ours[4:]], [*theirs[:3], *theirs[4:]], equal_nan=True)
+        (level, text, values), (cpp_level, cpp_text, cpp_values) = (loop.diagnosis() for loop in loops)
+        assert (level, values) == (cpp_level, cpp_values)
+        assert text == cpp_text or "at rest" in text  # the C++ node names the error of the library
+        texts.add(text)
+    assert loops[0].x == loops[1].x
+    assert values["driven by"] == "fallback"
+    assert loops[0].speed < 0.05
+    assert len(texts) >= 5
+
+
 @pytest.mark.compiled
 def test_both_nodes_follow_a_trajectory_alike(cpp, tmp_path):
     """On a bend, replanned each 0.1 s, late by 2 m; yaws by two libraries' arctangents differ in the last bit."""
@@ -694,6 +840,8 @@ def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options, 
     assert abs(float(report["offset"])) < 0.1  # from 0.3 m
     assert int(report["stamp"]) in (1003, 1004)
     assert report["disengaged"] == "0"
+    assert "follow" not in options or (report["fallback_level"], report["warning"]) == ("1", follower.ON_FALLBACK)
+    assert float(report.get("at_rest", 0.0)) < 0.05
     assert (report["predicted"], report["path_frame"]) == ("30", "map")
     assert 0.05 < float(report["after"]) < 0.5
     assert 0.0 < float(report["first"]) < 3.0 + CAR.lr
@@ -751,6 +899,27 @@ def test_the_node_drives_by_tf_and_a_motion_and_sends_controls_of_autoware(monke
         module.FollowerNode()
 
 
+@pytest.mark.compiled
+def test_the_node_hands_fallbacks_over_and_warns_of_those_that_it_leaves_out(monkeypatch):
+    network = fake_ros(monkeypatch)
+    network.parameters = {"follow": "trajectory"}
+    package_module("follower_node").FollowerNode()
+    t = 0.1 * np.arange(50)
+    braking = np.minimum(t, 6.0 / RATE)
+    ways = {"no rest": 6.0 * t, "rest": 6.0 * braking - 0.5 * RATE * braking**2}
+    for k in range(60):
+        x = 6.0 * (network.now - 1000.0)
+        if k % 2 == 0 and k < 30:
+            for topic, way in (("fallback", ways["no rest" if k == 20 else "rest"]), ("path", ways["no rest"])):
+                network.publish(topic, path(np.stack([x + way, 0.0 * t], axis=-1), network.now + t, t=network.now))
+        network.publish("odom", odometry(network.now, x=x, speed=6.0))
+        network.run(0.05)
+    assert "fallback left out: it must end at rest, with a speed of 0 at its last point." in network.warnings
+    assert network.warnings[-1] == follower.ON_FALLBACK
+    status = network.sent["/diagnostics"][-1].status[0]
+    assert (status.level, status.message) == (b"\x01", follower.ON_FALLBACK)
+
+
 def test_nothing_moves_before_there_is_a_path_and_an_odometry(Follower):
     node = Follower()
     assert node.tick(0.0).stopping == "no path yet on topic path"
@@ -764,6 +933,20 @@ def test_a_path_in_another_frame_stops_the_car(driving):
     driving.path(path(STRAIGHT + 1.0, frame="odom"))
     driving.pose(odometry(0.05, x=20.25, speed=5.0))
     assert driving.tick(0.05).stopping == "the path is in frame 'odom', the odometry in 'map'"
+
+
+def test_an_export_by_a_file_that_cannot_be_used_ends_in_a_sentence(monkeypatch, tmp_path):
+    pytest.importorskip("yaml")
+    file, text = tmp_path / "follower.yaml", (PACKAGE / "config" / "follower.yaml").read_text()
+    file.write_text(text.replace("follow: path", "follow: paths"))
+    for words, says in (
+        ([file, tmp_path], "export_controller: follow = 'paths': must be one of path, trajectory."),
+        ([tmp_path / "none.yaml", tmp_path], "export_controller: .*No such file"),
+        ([file, tmp_path, "aarch64"], "usage: python3 -m adaptrack_ros.export_controller follower.yaml FOLDER"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["export_controller", *map(str, words)])
+        with pytest.raises(SystemExit, match=says):
+            package_module("export_controller").main()
 
 
 def test_the_cpp_node_has_parameters_of_the_file_with_their_defaults():

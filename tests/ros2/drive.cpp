@@ -52,19 +52,24 @@ struct World {
         message.twist.twist.linear.x = speed, message.twist.twist.angular.z = speed * std::tan(angle) / 2.7;
         network.publish("odom", message);
     }
-    void publish_planned() const {
+    // Places at 4 m/s, or with a rate of the speed (m/s^2) to rest, anew from the car on.
+    void publish_planned(const std::string &topic, double rate) const {
         autoware_planning_msgs::msg::Trajectory message;
         message.header = {stamp(), "map"};
         for (int k = 0; k < 60; k++) {
+            const double t = std::fmin(0.1 * k, rate < 0.0 ? -4.0 / rate : 6.0);
             message.points.emplace_back();
             message.points.back().time_from_start = {k / 10, 100000000u * static_cast<std::uint32_t>(k % 10)};
-            message.points.back().pose.position.x = x + 0.4 * k;
-            message.points.back().longitudinal_velocity_mps = 4.0F;
+            message.points.back().pose.position.x = x + 4.0 * t + 0.5 * rate * t * t;
+            message.points.back().longitudinal_velocity_mps = static_cast<float>(4.0 + rate * t);
         }
-        network.publish("path", message);
+        network.publish(topic, message);
     }
     void publish_path() const {
-        if (network.parameters.count("follow")) return publish_planned();
+        if (network.parameters.count("follow")) {
+            publish_planned("fallback", -1.0);
+            return publish_planned("path", 0.0);
+        }
         if (network.parameters.count("path_message")) {
             autoware_planning_msgs::msg::Trajectory message;
             message.header.frame_id = "map";
@@ -116,6 +121,15 @@ struct World {
         std::printf("commands=%d\nspeed=%g\nstamp=%d\nframe=%s\nlevel=%d\nmessage=%s\noffset=%g\n", commands, speed,
                     command.header.stamp.sec, command.header.frame_id.c_str(), status.status.at(0).level,
                     status.status.at(0).message.c_str(), y);
+        if (network.parameters.count("follow")) { // the planner falls silent
+            for (int k = 0; k < 200; k++) {
+                publish_odometry();
+                network.run(0.05);
+                move(0.05);
+            }
+            std::printf("at_rest=%g\nfallback_level=%d\nfallback_message=%s\n", speed, status.status.at(0).level,
+                        status.status.at(0).message.c_str());
+        }
         std_msgs::msg::Bool off;
         network.publish("engage", off);
         commands = 0;

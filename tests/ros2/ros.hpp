@@ -312,4 +312,6 @@ struct TransformListener {
 } // namespace tf2_ros
 
 #define RCLCPP_INFO(logger, ...) (static_cast<void>(logger), std::printf(__VA_ARGS__), std::printf("\n"))
+#define RCLCPP_WARN_THROTTLE(logger, clock, milliseconds, ...)                                                         \
+    (static_cast<void>(clock), static_cast<void>(milliseconds), std::printf("warning="), RCLCPP_INFO(logger, __VA_ARGS__))
 #endif

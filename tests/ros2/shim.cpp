@@ -112,7 +112,7 @@ void ros_trajectory(Handle *made, const double *rows, std::size_t count, const c
 #if ADAPTRACK_PLANNER
 // rows: t, x, y, the quaternion's z, w, speed, acceleration; of a nav_msgs/Path the first five
 void ros_planned(Handle *made, const double *rows, std::size_t count, double stamp, double now, int is_path,
-                 const char *frame) {
+                 int is_fallback, const char *frame) {
     autoware_planning_msgs::msg::Trajectory message;
     nav_msgs::msg::Path path;
     std::vector<adaptrack_point> points;
@@ -127,7 +127,10 @@ void ros_planned(Handle *made, const double *rows, std::size_t count, double sta
         point.acceleration_mps2 = static_cast<float>(rows[6]);
     }
     stamp = is_path ? adaptrack_ros::trajectory_of_path(path, points) : adaptrack_ros::trajectory_of(message, points);
-    made->follower.trajectory(points, stamp, now, frame);
+    if (is_fallback)
+        made->follower.fallback(points, stamp, now, frame);
+    else
+        made->follower.trajectory(points, stamp, now, frame);
 }
 #endif
 void ros_engage(Handle *made, int on, double angle) { made->follower.engage(on != 0, angle); }

@@ -105,6 +105,7 @@ def _load_task(settings: CompareOptions) -> ComparisonConfig:
     name, changes = settings.config or default, settings.changes
     for driver in settings.driver or ():
         check_driver_name(driver)
+    options.make_planner(settings.planner)
     if settings.controller or settings.tuning:
         controllers = settings.controller or load_comparison(name, **changes).contenders
         changes["contenders"] = [*controllers, *(settings.tuning or ())]

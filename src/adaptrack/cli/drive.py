@@ -141,7 +141,9 @@ def _make_driver(
         return None if settings.prescribed_speed else ROAD_DRIVER
     if settings.prescribed_speed or loop.places.road is None:
         name = "--speed-control" if settings.planner is None else "--planner"
-        raise InvalidInput(f"{name}: moves a car along a road by forces: name a road, without --prescribed-speed.")
+        raise InvalidInput(
+            f"{name}: needs a road, and forces that move the car: name a road, without --prescribed-speed."
+        )
     return at.SpeedControl(loop.car) if friction is None else at.SpeedControl(loop.car, friction=friction)
 
 
@@ -151,14 +153,14 @@ def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, flo
     friction: interval that driver and schedules assume, these its lower end; None for that of the road.
     """
     from adaptrack.base.files import safe_names
-    from adaptrack.drive.planner import PlannedController, make_planner
+    from adaptrack.drive.planner import PlannedController
     from adaptrack.drive.predicted_paths import PredictedPaths
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
     perception = None if friction is None else at.Perception(friction=friction[0])
     driver = _make_driver(settings, loop, friction)
-    planner = None if settings.planner is None else make_planner(settings.planner)
+    planner = options.make_planner(settings.planner)
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
     where = f"their trajectories are in {out}, without a page" if out else "nothing was written"

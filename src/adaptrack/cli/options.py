@@ -10,13 +10,16 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import typer
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.registry import import_plugin
+
+if TYPE_CHECKING:
+    from adaptrack.drive.planner import SimulatedPlanner
 
 Group = TypeVar("Group")
 
@@ -212,6 +215,15 @@ def load_plugins(modules: Sequence[str] | None) -> None:
     for name in modules or ():
         missing = f"--plugin {name}: no such module in the Python path or in the current folder."
         import_plugin(name, InvalidInput(missing))
+
+
+def make_planner(text: str | None) -> SimulatedPlanner | None:
+    """Return the planner of the option ``--planner``, None without it; raises `InvalidInput` for its settings."""
+    from adaptrack.drive import planner  # NumPy, which --help does not need
+
+    if text is not None and not text.strip():
+        raise InvalidInput("--planner '': has no settings: give at least one, such as period=0.1, or leave it out.")
+    return None if text is None else planner.make_planner(text)
 
 
 # -- output files -----------------------------------------------------------------------------------------------------

@@ -134,9 +134,9 @@ class ComparisonConfig(Record):
         for driver in self.drivers:
             mover = make_driver(driver, load_setting(self.cars[0], self.profiles[0]).car)
             if self.planner and not isinstance(mover, SpeedControl):
-                raise ValueError(f"planner: does not drive with {driver!r}; its drivers are speed controls.")
+                raise ValueError(f"planner: does not drive with {driver!r}: choose a driver such as speed-control.")
         if self.planner and (self.budget or self.prescribed_speed):
-            raise ValueError("planner: needs budget = 0 and no prescribed_speed.")
+            raise ValueError("planner: needs budget = 0 (--budget 0) and no prescribed_speed.")
         make_planner(self.planner)
         return self
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, UnknownName
+from adaptrack.base.files import is_number
 from adaptrack.base.registry import Registry
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.cars.vehicle import Vehicle
@@ -64,6 +65,8 @@ def make_driver(text: str, car: Vehicle) -> LongitudinalDriver:
     try:
         for entry in filter(None, option_text.split(",")):
             option, _, value = entry.partition("=")
+            if not all(map(is_number, value.split(":"))):
+                raise ValueError(f"{option} = {value!r}: must be a number, or two as in 0.6:0.9")
             numbers = tuple(map(float, value.split(":")))
             arguments[option] = numbers if len(numbers) > 1 else numbers[0]
         signature.bind(**arguments)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from operator import itemgetter
 from types import SimpleNamespace
@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Natural, NotNegative, Positive, checked
+from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import is_number
 from adaptrack.control.controllers import Controller
 from adaptrack.control.following import Following
 from adaptrack.control.speed_control import SpeedControl
@@ -55,13 +56,13 @@ class SimulatedPlanner:
     road, otherwise in the direction of motion.
     """
 
-    period: Annotated[Positive, "s"] = 0.1
+    period: Annotated[Finite, within(0.001, 1000.0), "s"] = 0.1
     delay: Annotated[NotNegative, "s"] = 0.0
     jitter: Annotated[NotNegative, "s"] = 0.0
     start: Literal["line", "pose"] = "line"
-    spacing: Annotated[Positive, "m"] = 1.0
+    spacing: Annotated[Finite, within(0.01, 1000.0), "m"] = 1.0
     noise: Annotated[NotNegative, "m"] = 0.0
-    horizon: Annotated[Positive, "s"] = 4.0
+    horizon: Annotated[Finite, within(0.01, 100.0), "s"] = 4.0
     merge: Annotated[Positive, "s"] = 3.0
     seed: Natural = 0
 
@@ -73,14 +74,15 @@ class SimulatedPlanner:
 def make_planner(text: str) -> SimulatedPlanner:
     """Return a planner with settings such as ``period=0.1,delay=0.3,start=pose``; raises `InvalidInput`."""
     names = [field.name for field in fields(SimulatedPlanner)]
-    settings = dict(entry.partition("=")[::2] for entry in text.split(",") if entry)
+    settings: dict[str, Any] = dict(entry.partition("=")[::2] for entry in text.replace(" ", "").split(",") if entry)
     if unknown := [name for name, value in settings.items() if name not in names or not value]:
         raise InvalidInput(f"planner {text!r}: {unknown[0]!r} must be NAME=VALUE, with a name of {', '.join(names)}.")
-    kinds: Mapping[str, Any] = {"start": str, "seed": int}
+    for name, value in settings.items():  # other text remains, and the planner refuses it
+        settings[name] = int(value) if value.isdecimal() else float(value) if is_number(value) else value
     try:
-        return SimulatedPlanner(**{name: kinds.get(name, float)(value) for name, value in settings.items()})
-    except ValueError as error:
-        raise InvalidInput(f"planner {text!r}: {error}.") from None
+        return SimulatedPlanner(**settings)
+    except InvalidInput as error:
+        raise InvalidInput(f"planner {text!r}: {str(error).removeprefix('SimulatedPlanner: ')}") from None
 
 
 class PlannerRun:
@@ -135,12 +137,18 @@ class PlannerRun:
             to_go = np.maximum(1.0 - (s - begin) / merge, 0.0)
             slope = portable.tan(sample.yaw + turn + drift - float(foot.heading)) if math.isfinite(drift) else 0.0
             growth = 2.0 * float(foot.offset) / merge + slope
-            offset = (float(foot.offset) + growth * (s - begin)) * to_go * to_go  # a cubic, that ends along the road
-            slopes = growth * to_go * to_go - 2.0 * (float(foot.offset) + growth * (s - begin)) * to_go / merge
+            tangent = float(foot.offset) + growth * (s - begin)
+            offset = tangent * to_go * to_go  # a cubic, that ends along the road
+            slopes = growth * to_go * to_go - 2.0 * tangent * to_go / merge
             x, y = x - offset * portable.sin(yaw), y + offset * portable.cos(yaw)
             yaw = yaw + portable.atan(slopes)
         noise = planner.noise * self._rng.standard_normal((2, s.size))
-        return PlannedTrajectory(t, x + noise[0], y + noise[1], yaw=yaw, speed=plan.at(s), stamp=stamp)
+        try:
+            return PlannedTrajectory(t, x + noise[0], y + noise[1], yaw=yaw, speed=plan.at(s), stamp=stamp)
+        except InvalidInput as error:
+            flaw = str(error).removeprefix("PlannedTrajectory: ").rpartition(": ")[0]
+            where = f"its trajectory at {stamp:.4g} s is impossible ({flaw})"
+            raise InvalidInput(f"planner: {where}: choose less noise, or a smaller spacing.") from None
 
     def _places(self, begin: float, until: float) -> tuple[Array, Array]:
         """Return places (m) from one on, up to that of the plan at a time (s), and the pauses (s) made there before.
@@ -192,18 +200,15 @@ class SampledController(Controller):
     ) -> Any:
         time, measured = self.instant * self.period, np.asarray(state, dtype=float)
         assert road is not None
-        age = float(measured[MEASUREMENT.pose_age])
-        age = age if math.isfinite(age) else 0.0
+        ages = measured[[MEASUREMENT.pose_age, MEASUREMENT.motion_age]]
+        age, motion_age = np.where(np.isfinite(ages), ages, 0.0).tolist()
         foot = road.road.at(road.station - age * speed)
         offset, yaw = float(measured[MEASUREMENT.y]), float(foot.heading) + float(measured[MEASUREMENT.yaw])
         x, y = float(foot.x) - offset * portable.sin(foot.heading), float(foot.y) + offset * portable.cos(foot.heading)
-        signals = [float(measured[i]) for i in (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration)]
+        motion = [MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration, MEASUREMENT.wheel_angle]
         sample = np.full(len(TRACKER_SAMPLE), math.nan)
-        sample[: TRACKER_SAMPLE.friction] = (
-            time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle],
-        )  # fmt: skip
-        motion_age = float(measured[MEASUREMENT.motion_age])
-        sample[TRACKER_SAMPLE.motion_time] = time - (motion_age if math.isfinite(motion_age) else 0.0)
+        sample[: TRACKER_SAMPLE.friction] = time - age, time, x, y, yaw, speed, *measured[motion]
+        sample[TRACKER_SAMPLE.motion_time] = time - motion_age
         self.instant += 1
         return self.answer(sample)
 
@@ -241,9 +246,9 @@ class PlannedController(SampledController):
         self.instant, self.tracker, self._run = 0, self.make_tracker(), self.planner.begin(drive)
 
     def answer(self, sample: Array) -> SimpleNamespace:
-        for trajectory, fallback in self._run.step(sample):
-            self.tracker.follow(trajectory, fallback=fallback, now=float(sample[TRACKER_SAMPLE.now]))
         signals = dict(zip(TRACKER_SAMPLE._fields, sample.tolist(), strict=True))
+        for trajectory, fallback in self._run.step(sample):
+            self.tracker.follow(trajectory, fallback=fallback, now=signals["now"])
         tracked = self.tracked = self.tracker.step(**{name: signals[name] for name in _SIGNALS})
         late = {"late": tracked.late}
         return SimpleNamespace(angle=tracked.command, longitudinal=tracked.longitudinal, diagnostics=late)

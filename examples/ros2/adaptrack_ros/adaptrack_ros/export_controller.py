@@ -38,10 +38,13 @@ def main() -> None:
     """Read the parameter file, write the folder."""
     import yaml
 
-    if len(sys.argv) < 3:
-        sys.exit(f"usage: {sys.argv[0]} follower.yaml FOLDER")
-    held = yaml.safe_load(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    export(Parameters(**held["adaptrack_follower"]["ros__parameters"]), sys.argv[2])
+    if len(sys.argv) != 3:
+        sys.exit("usage: python3 -m adaptrack_ros.export_controller follower.yaml FOLDER")
+    try:
+        held = yaml.safe_load(Path(sys.argv[1]).read_text(encoding="utf-8"))
+        export(Parameters(**held["adaptrack_follower"]["ros__parameters"]), sys.argv[2])
+    except (OSError, at.AdaptrackError) as error:
+        sys.exit(f"export_controller: {error}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import adaptrack as at
-from adaptrack.control.following import DrivenBy, Following, Verdict
+from adaptrack.control.following import DrivenBy, Following, PlannerFollower, Verdict
 from adaptrack.control.tracker import Tracked
 from adaptrack.road import Comfort, SpeedPlan
 from adaptrack.road.planned_trajectory import PlannedTrajectory
@@ -36,6 +36,7 @@ STOPPING = {
 """Statuses on which the car is stopped, and what the diagnostics say."""
 NO_PATH = "no path yet on topic path"
 NO_PLANNER = "the planner is silent"
+ON_FALLBACK = f"{NO_PLANNER}: the car follows the fallback"
 FOLLOW = "path", "trajectory"
 """What is followed of the messages on the topic `path`."""
 SHORT_STEP = 0.02
@@ -149,6 +150,9 @@ class Follower:
         self._halted, self._engaged, self._angle = False, True, 0.0
         self._trouble: dict[str, str] = {}
         self._tracked: Tracked | None = None
+        self._verdict: Verdict | None = None
+        self._fallback: tuple[Any, float] | None = None  # message and time of arrival, until a trajectory takes it
+        self._fallback_time, self._last_tick = -math.inf, -math.inf
         self._command = Command(0.0, 0.0, p.stop_deceleration, NO_PATH, request=-p.stop_deceleration)
 
     @property
@@ -239,7 +243,7 @@ class Follower:
         its arrival, for a trajectory; None: at the last tick.
         """
         if self.parameters.follow == "trajectory":
-            self._follow_trajectory(message, now)
+            self._follow_trajectory(message, self._last_tick if now is None else now)
             return
         points, speeds = points_of(message), speeds_of(message)
         self._halted = len(points) == 0
@@ -260,8 +264,36 @@ class Follower:
         self._trouble.pop("path", None)
         self._points, self._speeds, self._path_frame = points, speeds, message.header.frame_id
 
-    def _follow_trajectory(self, message: Any, now: float | None) -> None:
+    def fallback(self, message: Any, now: float) -> None:
+        """Hold a fallback, a message as of `path` that ends at rest, for the next trajectory; now: s, of its arrival.
+
+        Only the newest is held, and it is handed over once. One that cannot be used is left out then.
+        """
+        self._fallback = message, now
+
+    def _take_fallback(self, stamp: float, frame: str, now: float) -> PlannedTrajectory | None:
+        """The held fallback for a trajectory with a stamp (s) that arrives at a time (s); None: none is held.
+
+        Raises
+        ------
+        adaptrack.InvalidInput
+            When it is not possible, is stale, or is in a different frame than the trajectory.
+        """
+        if self._fallback is None:
+            return None
+        message, arrival = self._fallback
+        if message.header.frame_id != frame:
+            raise at.InvalidInput(f"it is in frame {message.header.frame_id!r}, the trajectory in {frame!r}")
+        fallback = PlannedTrajectory.from_message(message)
+        age = stamp - fallback.stamp if stamp > 0.0 and fallback.stamp > 0.0 else now - arrival
+        if age > Following.oldest:
+            raise at.InvalidInput(f"it is {Verdict.STALE}")
+        PlannerFollower.check_fallback(fallback)
+        return fallback
+
+    def _follow_trajectory(self, message: Any, now: float) -> None:
         """Follow a trajectory by its times; an empty one is the silence of its planner."""
+        frame, flaw = message.header.frame_id, ""
         try:
             if self._tracker is None:
                 self._tracker = at.Tracker(
@@ -269,14 +301,25 @@ class Follower:
                     furthest=self.parameters.furthest,
                 )  # fmt: skip
                 self._tracker.engage(self._angle)
-            verdict = self._tracker.follow(PlannedTrajectory.from_message(message), now=now)
+            trajectory, fallback = PlannedTrajectory.from_message(message), None
+            try:
+                fallback = self._take_fallback(trajectory.stamp, frame, now)
+            except at.InvalidInput as error:
+                flaw = str(error).removeprefix("Tracker.follow: fallback: ")
+            self._verdict = self._tracker.follow(trajectory, fallback=fallback, now=now)
         except at.InvalidInput as error:
             self._trouble["path"] = str(error)
             return
-        self._path_frame = message.header.frame_id
+        self._path_frame = frame
         self._trouble.pop("path", None)
-        if verdict not in (Verdict.TAKEN, Verdict.SAME):
-            self._trouble["path"] = f"it is {verdict}"
+        is_followed = self._verdict in (Verdict.TAKEN, Verdict.SAME)
+        if not is_followed:
+            self._trouble["path"] = f"it is {self._verdict}"
+        if flaw:
+            self._trouble["fallback"], self._fallback = flaw, None
+        elif fallback is not None and is_followed:
+            self._trouble.pop("fallback", None)
+            self._fallback, self._fallback_time = None, now
 
     def engage(self, on: bool, wheel_angle: float = 0.0) -> None:
         """Begin to drive from the angle (rad) that the wheels have, or leave the car to somebody else."""
@@ -315,6 +358,7 @@ class Follower:
         """The command for now (s, on the clock of the stamps), once per period; None while somebody else drives."""
         fresh, self._fresh = self._fresh, None
         motion, self._fresh_motion = self._fresh_motion, None
+        self._last_tick = now
         if not self._engaged:
             return None
         if self._tracker is None or self._tracker.path is None:
@@ -406,6 +450,11 @@ class Follower:
             yaws.append(yaw)
         return np.column_stack([self._tracker.controller.predicted_output()[0], points, yaws])
 
+    @property
+    def left_out(self) -> str:
+        """Kinds of messages of which the newest was left out, and why; empty: none."""
+        return "; ".join(f"{what} left out: {why}" for what, why in self._trouble.items())
+
     def diagnosis(self, now: float) -> tuple[int, str, dict[str, str]]:
         """Level, text and values for a diagnostic_msgs/DiagnosticStatus."""
         last, command = self._tracked, self._command
@@ -422,12 +471,17 @@ class Follower:
         if self.parameters.follow == "trajectory":
             values["late (s)"] = f"{last.late:.2f}" if last and math.isfinite(last.late) else ""
             values["driven by"] = str(last.driven_by) if last else ""
+            values["verdict"] = str(self._verdict or "")
+            age = now - self._fallback_time
+            values["age of the fallback (s)"] = f"{age:.3f}" if math.isfinite(age) else ""
         doubts = last.suspect if last else ()
         if self.parameters.motion_message and self._newest_motion == -math.inf and not command.stopping:
             doubts = (*doubts, "no motion yet on topic motion")
         if last and self._speed > last.first_top_speed:
             doubts = (*doubts, f"drive below {last.first_top_speed:.3g} m/s until the car is learned")
-        trouble = "; ".join([*(f"{what} left out: {why}" for what, why in self._trouble.items()), *doubts])
+        if last and last.driven_by is DrivenBy.FALLBACK:
+            doubts = (*doubts, ON_FALLBACK)
+        trouble = "; ".join(filter(None, (self.left_out, *doubts)))
         if not self._engaged:
             return OK, "not engaged", values
         if command.stopping:

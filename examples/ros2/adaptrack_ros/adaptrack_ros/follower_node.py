@@ -18,11 +18,11 @@ from rclpy.time import Time
 from std_msgs.msg import Bool
 
 import adaptrack as at
-from adaptrack_ros.follower import DRIVE_MESSAGES, POSE_MESSAGES, Command, Follower, Parameters
+from adaptrack_ros.follower import DRIVE_MESSAGES, OK, POSE_MESSAGES, Command, Follower, Parameters
 from adaptrack_ros.messages import fill_control, fill_drive, fill_path, fill_status
 
-DIAGNOSTICS_PERIOD = 0.5
-"""s"""
+DIAGNOSTICS_PERIOD, WARNING_PERIOD = 0.5, 2.0
+"""s, between two diagnostics, and at least between two warnings in the log"""
 
 
 class FollowerNode(Node):
@@ -47,6 +47,8 @@ class FollowerNode(Node):
         if parameters.motion_message:
             self._subscribe(parameters.motion_message, "motion", self._follower.motion)
         self._subscribe(parameters.path_message, "path", self._take_path, _path_qos(parameters))
+        if parameters.follow == "trajectory":
+            self._subscribe(parameters.path_message, "fallback", self._take_fallback, _path_qos(parameters))
         self._subscribe(DRIVE_MESSAGES[0], "wheel_angle", self._take_angle)
         self.create_subscription(Bool, "engage", self._engage, 1)
         self.create_timer(self._follower.period, self._tick)
@@ -78,6 +80,10 @@ class FollowerNode(Node):
 
     def _take_path(self, message: Any) -> None:
         self._follower.path(message, self._now)
+        self._warn(self._follower.left_out)
+
+    def _take_fallback(self, message: Any) -> None:
+        self._follower.fallback(message, self._now)
 
     def _take_angle(self, message: Any) -> None:
         self._wheel_angle = message.drive.steering_angle
@@ -106,9 +112,15 @@ class FollowerNode(Node):
     def _diagnose(self) -> None:
         message, status = DiagnosticArray(), DiagnosticStatus()
         message.header.stamp = self.get_clock().now().to_msg()
-        fill_status(status, *self._follower.diagnosis(self._now), KeyValue)
+        level, text, values = self._follower.diagnosis(self._now)
+        fill_status(status, level, text, values, KeyValue)
         message.status = [status]
         self._diagnostics.publish(message)
+        self._warn("" if level == OK else text)
+
+    def _warn(self, text: str) -> None:
+        if text:
+            self.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD)
 
 
 def message_type(name: str) -> Any:

@@ -7,7 +7,10 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-TOPICS = {name: name for name in ("odom", "pose", "motion", "path", "drive", "predicted_path", "wheel_angle", "engage")}
+TOPICS = {
+    name: name
+    for name in ("odom", "pose", "motion", "path", "fallback", "drive", "predicted_path", "wheel_angle", "engage")
+}
 
 
 def generate_launch_description() -> LaunchDescription:

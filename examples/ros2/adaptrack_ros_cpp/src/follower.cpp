@@ -22,6 +22,7 @@ constexpr const char *no_path = "no path yet on topic path";
 #if ADAPTRACK_PLANNER
 constexpr std::array verdicts{"taken", "same", "older", "stale", "early", "silent", "waiting", "unfit"};
 constexpr std::array drivers{"nobody", "planner", "fallback", "stop"};
+constexpr double oldest = 1.0; // s, of the stamp of a fallback relative to that of its trajectory
 #endif
 constexpr double nowhere = std::numeric_limits<double>::quiet_NaN();
 
@@ -166,18 +167,49 @@ void Follower::trajectory(const std::vector<adaptrack_point> &points, double sta
         has_begun_ = error == ADAPTRACK_OK;
     }
     const adaptrack_trajectory planned = {points.data(), points.size(), stamp, now, 0};
+    const adaptrack_trajectory fallback = {fallback_.points.data(), fallback_.points.size(), 0.0, now, 0};
     adaptrack_verdict verdict = ADAPTRACK_VERDICT_SILENT;
-    std::size_t flaw = 0;
-    if (error == ADAPTRACK_OK)
-        error = adaptrack_follow_trajectory(tracker_.data(), &planned, nullptr, &verdict, &flaw);
+    std::size_t place = 0;
+    const auto follow = [&](const adaptrack_trajectory *rest) {
+        return adaptrack_follow_trajectory(tracker_.data(), &planned, rest, &verdict, &place);
+    };
+    std::string flaw = fallback_flaw(stamp, now, frame);
+    const bool has_fallback = fallback_.is_held && flaw.empty();
+    if (error == ADAPTRACK_OK) error = follow(has_fallback ? &fallback : nullptr);
+    if (error != ADAPTRACK_OK && has_fallback) { // which of the two is not possible?
+        flaw = text_of("point %zu: %s", place, adaptrack_error_name(error));
+        error = follow(nullptr);
+    }
     if (error != ADAPTRACK_OK) {
-        path_trouble_ = text_of("point %zu: %s", flaw, adaptrack_error_name(error));
+        path_trouble_ = text_of("point %zu: %s", place, adaptrack_error_name(error));
         return;
     }
-    const bool is_good = verdict == ADAPTRACK_VERDICT_TAKEN || verdict == ADAPTRACK_VERDICT_SAME;
-    path_trouble_ = is_good ? "" : text_of("it is %s", verdicts.at(static_cast<std::size_t>(verdict)));
+    const bool is_followed = verdict == ADAPTRACK_VERDICT_TAKEN || verdict == ADAPTRACK_VERDICT_SAME;
+    path_trouble_ = is_followed ? "" : text_of("it is %s", verdicts.at(static_cast<std::size_t>(verdict)));
+    if (!flaw.empty() || (has_fallback && is_followed)) {
+        if (flaw.empty()) fallback_time_ = now;
+        fallback_trouble_ = std::move(flaw);
+        fallback_.is_held = false;
+    }
     has_path_ = has_path_ || verdict == ADAPTRACK_VERDICT_TAKEN;
     path_frame_ = frame;
+    verdict_ = verdict;
+}
+
+void Follower::fallback(const std::vector<adaptrack_point> &points, double stamp, double now,
+                        const std::string &frame) {
+    fallback_.is_held = true;
+    fallback_.points = points;
+    fallback_.stamp = stamp, fallback_.now = now;
+    fallback_.frame = frame;
+}
+
+// Why the held fallback does not fit a trajectory with a stamp (s) that arrives at a time (s); empty: no flaw.
+std::string Follower::fallback_flaw(double stamp, double now, const std::string &frame) const {
+    if (!fallback_.is_held) return {};
+    if (fallback_.frame != frame) return "it is in frame '" + fallback_.frame + "', the trajectory in '" + frame + "'";
+    const bool has_stamps = stamp > 0.0 && fallback_.stamp > 0.0;
+    return (has_stamps ? stamp - fallback_.stamp : now - fallback_.now) > oldest ? "it is stale" : "";
 }
 #endif
 
@@ -419,6 +451,14 @@ const std::vector<Sample> &Follower::predicted_path() {
     return predicted_;
 }
 
+std::string Follower::left_out() const {
+    std::string all;
+    for (const auto &[what, why] : {std::pair{"pose", &pose_trouble_}, {"motion", &motion_trouble_},
+                                    {"path", &path_trouble_}, {"fallback", &fallback_trouble_}})
+        if (!why->empty()) all += (all.empty() ? "" : "; ") + (what + (" left out: " + *why));
+    return all;
+}
+
 Diagnosis Follower::diagnosis(double now) const {
     Diagnosis found{Diagnosis::ok, "following", {}};
     const auto number = [&](const char *format, double value) { return answer_ ? text_of(format, value) : std::string(); };
@@ -437,12 +477,13 @@ Diagnosis Follower::diagnosis(double now) const {
         const bool is_timed = answer_ && std::isfinite(answer_->late);
         found.values.emplace_back("late (s)", is_timed ? text_of("%.2f", answer_->late) : std::string());
         found.values.emplace_back("driven by", answer_ ? drivers.at(static_cast<std::size_t>(answer_->driven_by)) : "");
+        found.values.emplace_back("verdict", verdict_ ? verdicts.at(static_cast<std::size_t>(*verdict_)) : "");
+        found.values.emplace_back("age of the fallback (s)",
+                                  std::isfinite(fallback_time_) ? text_of("%.3f", now - fallback_time_) : std::string());
     }
 #endif
     std::vector<std::string> troubles;
-    if (!pose_trouble_.empty()) troubles.push_back("pose left out: " + pose_trouble_);
-    if (!motion_trouble_.empty()) troubles.push_back("motion left out: " + motion_trouble_);
-    if (!path_trouble_.empty()) troubles.push_back("path left out: " + path_trouble_);
+    if (std::string text = left_out(); !text.empty()) troubles.push_back(std::move(text));
     if (answer_ && answer_->suspect != 0)
         troubles.push_back(text_of("inputs contradict each other: suspect = %lu",
                                    static_cast<unsigned long>(answer_->suspect)));
@@ -450,6 +491,10 @@ Diagnosis Follower::diagnosis(double now) const {
         troubles.push_back("no motion yet on topic motion");
     if (answer_ && speed_ > answer_->first_top_speed)
         troubles.push_back(text_of("drive below %.3g m/s until the car is learned", answer_->first_top_speed));
+#if ADAPTRACK_PLANNER
+    if (answer_ && answer_->driven_by == ADAPTRACK_DRIVEN_BY_FALLBACK)
+        troubles.push_back("the planner is silent: the car follows the fallback");
+#endif
     if (engaged_ && !command_.stopping.empty()) troubles.insert(troubles.begin(), "stopping: " + command_.stopping);
     std::string all;
     for (const std::string &each : troubles) all += (all.empty() ? "" : "; ") + each;

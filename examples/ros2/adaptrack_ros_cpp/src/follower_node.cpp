@@ -40,6 +40,7 @@ using nav_msgs::msg::Path;
 using std_msgs::msg::Bool;
 
 constexpr double diagnostics_period = 0.5; // s
+constexpr int warning_period = 2000;       // ms, at least between two warnings in the log
 
 Parameters declared(rclcpp::Node &node) {
     Parameters p;
@@ -178,32 +179,30 @@ class FollowerNode : public rclcpp::Node {
         qos.reliable();
         if (latched) qos.transient_local();
         if (kind == "nav_msgs/Path") {
-            path_ = create_subscription<Path>("path", qos, [this](const Path::ConstSharedPtr &message) {
 #if ADAPTRACK_PLANNER
-                if (follower_->parameters.follow == "trajectory") {
-                    const double stamp = trajectory_of_path(*message, planned_);
-                    return follower_->trajectory(planned_, stamp, seconds_now(), message->header.frame_id);
-                }
+            if (follower_->parameters.follow == "trajectory")
+                return subscribe_to_trajectories<Path>(qos, trajectory_of_path<Path>);
 #endif
+            path_ = create_subscription<Path>("path", qos, [this](const Path::ConstSharedPtr &message) {
                 points_of(message->poses, points_);
                 speeds_of_path(*message, speeds_);
                 follower_->path(points_, speeds_, message->header.frame_id);
+                warn(follower_->left_out());
             });
             return;
         }
 #ifdef ADAPTRACK_WITH_TRAJECTORY
         using autoware_planning_msgs::msg::Trajectory;
         if (kind == "autoware_planning_msgs/Trajectory") {
-            path_ = create_subscription<Trajectory>("path", qos, [this](const Trajectory::ConstSharedPtr &message) {
 #if ADAPTRACK_PLANNER
-                if (follower_->parameters.follow == "trajectory") {
-                    const double stamp = trajectory_of(*message, planned_);
-                    return follower_->trajectory(planned_, stamp, seconds_now(), message->header.frame_id);
-                }
+            if (follower_->parameters.follow == "trajectory")
+                return subscribe_to_trajectories<Trajectory>(qos, trajectory_of<Trajectory>);
 #endif
+            path_ = create_subscription<Trajectory>("path", qos, [this](const Trajectory::ConstSharedPtr &message) {
                 points_of(message->points, points_);
                 speeds_of_trajectory(*message, speeds_);
                 follower_->path(points_, speeds_, message->header.frame_id);
+                warn(follower_->left_out());
             });
             return;
         }
@@ -211,6 +210,28 @@ class FollowerNode : public rclcpp::Node {
         throw std::invalid_argument("path_message = '" + kind +
                                     "': must be nav_msgs/Path, or autoware_planning_msgs/Trajectory where the node was "
                                     "built with it.");
+    }
+
+#if ADAPTRACK_PLANNER
+    // Trajectories and their fallbacks; decode: writes the points of a message and returns its stamp (s).
+    template <class Message>
+    void subscribe_to_trajectories(const rclcpp::QoS &qos,
+                                   double (*decode)(const Message &, std::vector<adaptrack_point> &)) {
+        const auto subscribe = [this, &qos, decode](const char *topic, auto take) {
+            return create_subscription<Message>(
+                topic, qos, [this, decode, take](const typename Message::ConstSharedPtr &message) {
+                    const double stamp = decode(*message, planned_);
+                    (*follower_.*take)(planned_, stamp, seconds_now(), message->header.frame_id);
+                    warn(follower_->left_out());
+                });
+        };
+        path_ = subscribe("path", &Follower::trajectory);
+        fallback_ = subscribe("fallback", &Follower::fallback);
+    }
+#endif
+
+    void warn(const std::string &text) {
+        if (!text.empty()) RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), warning_period, "%s", text.c_str());
     }
 
     // s, on the clock of the stamps: simulated where use_sim_time is set
@@ -230,8 +251,10 @@ class FollowerNode : public rclcpp::Node {
         DiagnosticArray message;
         message.header.stamp = get_clock()->now();
         message.status.emplace_back();
-        fill_status(follower_->diagnosis(seconds_now()), message.status.back());
+        const Diagnosis diagnosis = follower_->diagnosis(seconds_now());
+        fill_status(diagnosis, message.status.back());
         diagnostics_->publish(message);
+        warn(diagnosis.level == Diagnosis::ok ? "" : diagnosis.text);
     }
 
     std::unique_ptr<Follower> follower_;
@@ -247,7 +270,7 @@ class FollowerNode : public rclcpp::Node {
     std::unique_ptr<tf2_ros::TransformListener> listener_;
     std::string map_;
     rclcpp::Publisher<DiagnosticArray>::SharedPtr diagnostics_;
-    rclcpp::SubscriptionBase::SharedPtr pose_, motion_, path_;
+    rclcpp::SubscriptionBase::SharedPtr pose_, motion_, path_, fallback_;
     rclcpp::Subscription<AckermannDriveStamped>::SharedPtr wheel_angle_;
     rclcpp::Subscription<Bool>::SharedPtr engage_;
     std::vector<rclcpp::TimerBase::SharedPtr> timers_;

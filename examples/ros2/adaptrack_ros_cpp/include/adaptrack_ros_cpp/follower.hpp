@@ -84,6 +84,9 @@ class Follower {
 #if ADAPTRACK_PLANNER
     // A trajectory with a stamp (s) that arrives at a time (s); an empty one is the silence of its planner.
     void trajectory(const std::vector<adaptrack_point> &points, double stamp, double now, const std::string &frame);
+    // Hold a fallback, which ends at rest, for the next trajectory. Only the newest is held, and it is handed over once.
+    // One that cannot be used is left out then, and the diagnostics say why.
+    void fallback(const std::vector<adaptrack_point> &points, double stamp, double now, const std::string &frame);
 #endif
     // Begin to drive from the angle (rad) that the wheels have, or leave the car to somebody else.
     void engage(bool on, double wheel_angle = 0.0);
@@ -93,6 +96,8 @@ class Follower {
     // of the way. Empty where it expects nothing, and while the safe command is sent.
     const std::vector<Sample> &predicted_path();
     const std::string &path_frame() const { return path_frame_; }
+    // Kinds of messages of which the newest was left out, and why; empty: none.
+    std::string left_out() const;
     Diagnosis diagnosis(double now) const;
 
   private:
@@ -129,11 +134,20 @@ class Follower {
     double sample_speed_ = 0.0;      // m/s, of the last call
     double left_ = 0.0, next_ = 0.0; // m, where it began to drive along the path, and its next stop; NaN: a new path
 #if ADAPTRACK_PLANNER
+    std::string fallback_flaw(double stamp, double now, const std::string &frame) const;
     std::vector<std::uint64_t> planner_; // memory for trajectories
     bool has_begun_ = false;             // with the first trajectory
+    std::optional<adaptrack_verdict> verdict_;
+    struct {
+        bool is_held = false;
+        std::vector<adaptrack_point> points;
+        double stamp = 0.0, now = 0.0; // s, of its arrival
+        std::string frame;
+    } fallback_; // until a trajectory takes it
+    double fallback_time_ = -std::numeric_limits<double>::infinity(); // s, of the trajectory that took the last one
 #endif
     std::vector<double> points_, speeds_;
-    std::string path_frame_, pose_frame_, path_trouble_, pose_trouble_, motion_trouble_;
+    std::string path_frame_, pose_frame_, path_trouble_, pose_trouble_, motion_trouble_, fallback_trouble_;
     std::optional<Sample> fresh_;
     std::optional<Motion> fresh_motion_;
     double newest_ = -std::numeric_limits<double>::infinity(), speed_ = 0.0, braked_ = newest_, angle_ = 0.0;
