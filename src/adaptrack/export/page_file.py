@@ -36,7 +36,7 @@ from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 PAGE_SOURCES = Path(__file__).parent / "page"
-ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
+ENGINE = ("memory.js", "inputs.js", "makers.js", "planner.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
 FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
