@@ -140,7 +140,7 @@ from adaptrack.drive.planner import (
     SHORTEST_MERGE,
     SimulatedPlanner,
 )
-from adaptrack.drive.world import World
+from adaptrack.drive.world import MAX_REQUESTED_SPEED, World
 from adaptrack.export.memory import kernel_names
 from adaptrack.export.page_inputs import car_fields, page_car, plain
 from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, page_road
@@ -340,6 +340,7 @@ def tracker_numbers() -> dict[str, Any]:
         "record": image(record._replace(check=Check(np.zeros(SETTINGS_SIZE), np.zeros(MEMORY_SIZE)))),
         "sample": list(TRACKER_SAMPLE._fields), "widest": MOST_WHEEL_ANGLE, "drivers": list(DRIVERS),
         "taken": VERDICT.taken, "accepted": [OK, REVERSE_AHEAD], "functions": FUNCTION_NAMES,
+        "top_speed": MAX_REQUESTED_SPEED,
         "planner": {
             "spacing": planner.spacing, "horizon": planner.horizon, "merge": planner.merge, "behind": BACKWARD_LENGTH,
             "shortest_merge": SHORTEST_MERGE, "pause_distance": PAUSE_DISTANCE, "pause_speed": PAUSE_SPEED,

@@ -76,7 +76,8 @@ function carRun(entry, made, where) {
     made: [],
   };
   made.cars.push(state);
-  state.plant = plantOf(car, state.world, topSpeedOf(samples));
+  const requestable = made.setup.planner ? written.tracker.top_speed : 0;
+  state.plant = plantOf(car, state.world, Math.max(topSpeedOf(samples), requestable));
   if (entry?.speed_control) state.world.settings.prescribed_speed = written.speed_control.external_forces;
   const controller = owning(state.made, () => controllerOf(entry, car, state.world, where));
   state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), controller, made, where) : null;

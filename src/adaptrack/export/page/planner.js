@@ -96,20 +96,21 @@ function trajectoryFrom(planner, stamp) {
   planner.time = time;
   const s = placesBetween(plan, of, begin, time + constants.horizon), line = roadPoints(of.line, s);
   const t = arrivalTimes(plan, s).map((arrival) => Math.min(arrival - time, constants.horizon));
-  const speeds = speedsOf(plan, s), number = planner.count++;
+  const speeds = speedsOf(plan, s), headings = line.map(({ heading }) => heading), number = planner.count++;
+  const [sines, cosines] = ["sin", "cos"].map((name) => elementary(name, headings));
   const slope = atPose && Number.isFinite(drift) ? tangent(sample.yaw + turn + drift - foot.heading) : 0;
-  const growth = (2 * foot.offset) / merge + slope;
+  const growth = atPose ? (2 * foot.offset) / merge + slope : 0, first = atPose ? foot.offset : 0;
+  const offsets = s.map((place) => first + growth * (place - begin));
+  const toGo = s.map((place) => Math.max(1 - (place - begin) / merge, 0)); // the offset is a cubic, that ends along the road
+  const turns = elementary("atan", s.map((_, k) => growth * toGo[k] * toGo[k] - (2 * offsets[k] * toGo[k]) / merge));
+  const noise = (channel) => settings.noise && settings.noise * memory.call("counted_normal", planner.seed, number, channel);
   const rows = line.map(({ x, y, heading }, k) => {
-    const toGo = Math.max(1 - (s[k] - begin) / merge, 0), cubic = foot.offset + growth * (s[k] - begin);
-    const offset = atPose ? cubic * toGo * toGo : 0;
-    const slopes = atPose ? growth * toGo * toGo - (2 * cubic * toGo) / merge : 0;
-    const yaw = atPose ? heading + elementary("atan", [slopes])[0] : heading;
-    const noise = [0, 1].map((axis) => settings.noise * memory.call("counted_normal", planner.seed, number, 2 * k + axis));
+    const offset = offsets[k] * toGo[k] * toGo[k];
     return [
       atPose ? Math.max(t[k], 0) : t[k],
-      x - offset * sine(heading) + noise[0],
-      y + offset * cosine(heading) + noise[1],
-      yaw,
+      x - offset * sines[k] + noise(2 * k),
+      y + offset * cosines[k] + noise(2 * k + 1),
+      heading + turns[k],
       speeds[k],
     ];
   });
