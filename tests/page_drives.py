@@ -108,14 +108,14 @@ SETUPS = {
     "planner, late samples": _planned(_setup({"name": "van"}, {"name": "country"}, {"lateral": 2.5}, "production",
                                              _assuming([0.6, 1.0], "learning"), _assuming(0.9, "stanley"), seed=5),
                                       period=0.2, delay=0.1),
-    "planner, lap": _planned(_setup(PAPER, {"name": "oval"}, {"lateral": 3.0}, "paper", _assuming(0.8, "published")),
-                             period=0.1, delay=0.2, start="pose"),
+    "planner, published": _planned(_setup(PAPER, {"name": "town"}, {"lateral": 3.0}, "paper",
+                                          _assuming(0.8, "published")), period=0.15, delay=0.2, start="pose"),
     "tests, typed": _setup(TYPED, {"test": "triple-lane-change"}, {}, "road", "learning", "published-nn", wind=5.0),
 }  # fmt: skip
 
 
 def simulate_setup(setup):
-    """The drives of a setup, one for each controller."""
+    """The drives of a setup, one for each controller; the planner may be one of Python."""
     car, profile = car_of(setup["car"]), at.load_profile(setup["profile"])
     drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
     mass = (setup.get("truth") or {}).get("mass")
@@ -128,7 +128,8 @@ def simulate_setup(setup):
         steering_controller, seed = controller_of(controller, model_car, profile), int(setup.get("seed", 0))
         if planner := setup.get("planner"):
             driver = at.SpeedControl(model_car, **controller["speed_control"])
-            planned = PlannedController(steering_controller, driver, SimulatedPlanner(**planner))
+            simulated = SimulatedPlanner(**planner) if isinstance(planner, dict) else planner
+            planned = PlannedController(steering_controller, driver, simulated)
             runs.append(at.simulate(plant, planned, drive, profile=world, seed=seed))
         elif speed_control := controller.get("speed_control"):
             driver = at.SpeedControl(model_car, **speed_control)
@@ -215,5 +216,7 @@ def columns_of(trajectory):
         for key, values in group.items():
             columns[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
     columns.pop("longitudinal_acceleration", None)  # computed from the others
+    if np.isnan(columns.get("governed_speed", 0.0)).all():  # not recorded of a speed control behind a tracker
+        del columns["governed_speed"]
     count = int(np.isfinite(trajectory.command).sum())
     return {name: np.ascontiguousarray(values[:count], float) for name, values in columns.items()}
