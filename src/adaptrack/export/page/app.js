@@ -328,7 +328,8 @@ const DRIVEN_BY = {nobody: "no trajectory yet", planner: "the planner drives", f
 function plannerText(car, t) {
   if (!car.columns.driven_by) return "";
   const driver = page.data.tracker.drivers[valueAt(car, "driven_by", t, true)], late = valueAt(car, "late", t, true);
-  return `\n${DRIVEN_BY[driver]}${Number.isFinite(late) ? `, ${Math.abs(late).toFixed(2)} s ${late < 0 ? "early" : "late"}` : ""}`;
+  const lateness = Math.abs(late) < 0.005 ? ", on time" : `, ${Math.abs(late).toFixed(2)} s ${late < 0 ? "early" : "late"}`;
+  return `\n${DRIVEN_BY[driver]}${Number.isFinite(late) ? lateness : ""}`;
 }
 
 function showScore() {
