@@ -304,7 +304,8 @@ def test_a_car_that_was_saved_is_dropped_and_driven(window, file):
     "changes",
     [
         {"speed": {"constant": 1e9}}, {"car": {"sheet": {"mass": 0, "wheelbase": 2.5}}}, {"road": {"points": []}},
-        {"profile": "dream"}, {"controllers": [{"kind": "witch"}]}, {"truth": {"lag": -1}}, {"planner": {"start": "line"}},
+        {"profile": "dream"}, {"controllers": [{"kind": "witch"}]}, {"truth": {"lag": -1}},
+        {"planner": {"start": "line"}},
         {"controllers": [{"kind": "informed", "tuning": {"Np": 0, "Nc": -1, "Q": -1, "R": 0}}]},
     ],
     ids=json.dumps,

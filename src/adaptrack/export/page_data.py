@@ -102,15 +102,15 @@ from adaptrack.control.speed_control import (
     patience_of,
     speed_banks,
 )
-from adaptrack.control.tracker import input_check_of, tracker_of
+from adaptrack.control.tracker import Tracker, input_check_of, tracker_of
 from adaptrack.core.build.units import PAGE_CALLS
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning
 from adaptrack.core.input_check.record import MEMORY_SIZE, SETTINGS_SIZE, Check
 from adaptrack.core.kernel import EXPORTED, OK, Array, Field, Scalar, columns, fields_of, float64, int64, size_of
-from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.maths.portable import FUNCTION_NAMES
+from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.tyre import TYRE_NAMES
 from adaptrack.core.planned.clock import VERDICT
@@ -133,13 +133,7 @@ from adaptrack.core.tracker.planner import Arrival
 from adaptrack.core.tracker.signals import TRACKED, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking
 from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
-from adaptrack.drive.planner import (
-    BACKWARD_LENGTH,
-    PAUSE_DISTANCE,
-    PAUSE_SPEED,
-    SHORTEST_MERGE,
-    SimulatedPlanner,
-)
+from adaptrack.drive.planner import BACKWARD_LENGTH, PAUSE_DISTANCE, PAUSE_SPEED, SHORTEST_MERGE, SimulatedPlanner
 from adaptrack.drive.world import MAX_REQUESTED_SPEED, World
 from adaptrack.export.memory import kernel_names
 from adaptrack.export.page_inputs import car_fields, page_car, plain
@@ -196,6 +190,7 @@ _WRITTEN = (
     "curved", "feeds_forward",
 )  # fmt: skip
 """Of the settings of an MPC, what kernels write, or the road decides."""
+FURTHEST = inspect.signature(Tracker).parameters["furthest"].default
 CORE_PACKAGE = "adaptrack.core."
 _LETTERS = {"float64": "f", "int64": "i", "boolean": "i", "void": ""}
 
@@ -220,7 +215,8 @@ def page_data() -> dict[str, Any]:
         "schedules": {name: image(load_scheduler(name).plan(1)) for name in ("road-nn", "road-anfis")},
         "roads": {name: _road(name) for name in PAGE_ROADS}, "tests": {name: _test(name) for name in PAPER_ROADS},
         "places": {"signal": SIGNAL._asdict(), "state": PLANT_STATE._asdict(), "input": PLANT_INPUT._asdict(),
-                   "plan": PLAN._asdict(), "measured": MEASUREMENT._asdict(), "tracked": TRACKED._asdict(), "slots": SLOTS, "states": PLANT_STATES},
+                   "plan": PLAN._asdict(), "measured": MEASUREMENT._asdict(), "tracked": TRACKED._asdict(),
+                   "slots": SLOTS, "states": PLANT_STATES},
     })  # fmt: skip
 
 
@@ -328,14 +324,14 @@ def speed_numbers() -> dict[str, Any]:
 
 
 def tracker_numbers() -> dict[str, Any]:
-    """A tracker that follows a planner, for a program without Python, and what its simulated planner is made of.
+    """A tracker that follows a planner, and the constants of its simulated planner, for a program without Python.
 
-    ``record`` is the image of a `core.tracker.records.TrackerRecord`, whose settings are those of some controller.
+    ``record`` is the image of a `core.tracker.records.TrackerRecord` with the default settings of a planner; the
+    program writes those of car and controller.
     """
-    controller = MPC(_any_car(), profile="road")
-    follower, unread = PlannerFollower(Following(), controller), input_check_of(controller)
-    record = tracker_of(controller, None, None, 10.0, unread, follower.planned)
-    planner = SimulatedPlanner()
+    controller, planner = MPC(_any_car(), profile="road"), SimulatedPlanner()
+    planned = PlannerFollower(Following(), controller).planned
+    record = tracker_of(controller, None, None, FURTHEST, input_check_of(controller), planned)
     return {
         "record": image(record._replace(check=Check(np.zeros(SETTINGS_SIZE), np.zeros(MEMORY_SIZE)))),
         "sample": list(TRACKER_SAMPLE._fields), "widest": MOST_WHEEL_ANGLE, "drivers": list(DRIVERS),
