@@ -81,7 +81,7 @@ function carRun(entry, made, where) {
   if (entry?.speed_control) state.world.settings.prescribed_speed = written.speed_control.external_forces;
   const controller = owning(state.made, () => controllerOf(entry, car, state.world, where));
   state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), controller, made, where) : null;
-  if (made.setup.planner) state.tracker = trackerOf(state, made);
+  if (made.setup.planner) state.tracker = trackerOf(state, controller, made);
   owning(state.made, () => Object.assign(state, ready(state, controller, made)));
   if (state.tracker) memory.call("tracker_engage", 0, NaN, state.tracker.record.tracker);
   if (state.tracker) memory.call("tracker_apply", state.tracker.record);

@@ -1,7 +1,7 @@
 // A car behind a planner: the tracker of its controller, and the simulated planner whose trajectories it follows.
 //
 //   checkedPlanner(settings)              -> { period, delay, noise, start: "line" | "pose", silent }, or a refusal
-//   trackerOf(own, drive)                 -> { record, planner, followed, trajectories }; before the run is made
+//   trackerOf(own, controller, drive)     -> { record, planner, followed, trajectories }; before the run is made
 //   attachTracker(own, drive, controller, run)    let the tracker steer the run with the controller that the run holds
 //   stepBehindPlanner(own)                one control period; how many were driven, 0 at the end
 //
@@ -165,18 +165,18 @@ function arrivalTimes(plan, places) {
 
 // -- the tracker ------------------------------------------------------------------------------------------------------
 /** The tracker of a car with its speed control, before its first trajectory. */
-function trackerOf(own, drive) {
+function trackerOf(own, controller, drive) {
+  if (controller.schedule) throw new Refusal(own.where, "A tracker has no schedule: choose a controller without one.");
   if (!own.speed) throw new Refusal(own.where, "A planner also moves the car: let a speed control keep its speed.");
   const record = mine(memory.make("tracker.step.Tracking", {
     tracker: written.tracker.record, longitudinal: lent(own.speed.record), control_speed: linked("longitudinal_step"),
   }));
   own.speed.record = record.longitudinal;
-  return { record, planner: plannerRun(drive), followed: [], points: 0, trajectories: [], road: mine(memory.array("I", [1])) };
+  return { record, planner: plannerRun(drive), followed: [], points: 0, trajectories: [], roadIndex: mine(memory.array("I", [1])) };
 }
 
 function attachTracker(own, { car: whole }, controller, run) {
   const { record } = own.tracker, { known, parts, learns } = controller, { period } = own.world, { tracker } = record;
-  if (controller.schedule) throw new Refusal(own.where, "A tracker has no schedule: choose a controller without one.");
   const { move, angle } = limitsOf({ controller, run }), widest = Math.min(angle, written.tracker.widest);
   const car = learns ? parts.learner.car : carKnownTo(own.entry, whole).rows.car;
   const delay = parts && !learns ? parts.lag + parts.dead_time : Infinity;
@@ -234,7 +234,7 @@ function putTrajectory(tracker, buffer, [points, places, stopCount, speedsAt, ro
   const starts = view(path, start, [count + 1]), length = numbers.values[0];
   const [s, speed, arrive, leave] = [0, 1, 2, 3].map((k) => view(buffer, speedsAt + k * room, [places]));
   refer(record.tracker.path, {
-    of: share(tracker.road), numbers: share(view(path, 0, [1, written.sizes.road_numbers])), start: share(starts),
+    of: share(tracker.roadIndex), numbers: share(view(path, 0, [1, written.sizes.road_numbers])), start: share(starts),
     pieces: share(pieces), headings: share(view(path, heading, [memory.call("heading_count", numbers)])),
   });
   refer(record.tracker.plan, { s: share(s), speed: share(speed) });
