@@ -9,6 +9,7 @@ import adaptrack as at
 from adaptrack.control.controllers.learned_car import STEERING_QUANTITIES
 from adaptrack.core.simulation.frame import FRAME
 from adaptrack.drive.batch import Batch
+from adaptrack.drive.planner import PlannedController, SimulatedPlanner
 from adaptrack.drive.simulate import rollouts
 from adaptrack.export.page_inputs import page_car
 from adaptrack.export.page_setup import road_of
@@ -61,6 +62,11 @@ def _assuming(friction, kind, **more):
     return {"kind": kind, "speed_control": {"friction": friction}, **more}
 
 
+def _planned(setup, **planner):
+    """A setup behind a planner."""
+    return {**setup, "planner": planner}
+
+
 SETUPS = {
     "informed": _setup(PAPER, {"name": "mountain"}, {"lateral": 3.0}, "road", "informed"),
     "learning": _setup(PAPER, {"name": "country"}, {"lateral": 3.0}, "road", "learning"),
@@ -97,12 +103,19 @@ SETUPS = {
     "speed control, heavy": _setup({"name": "compact-ev"}, WAVE, {"lateral": 2.5}, "road",
                                    _assuming([0.6, 1.0], "informed"), "informed", seed=3, mass=1.3, slope=0.04,
                                    brake_lag=0.4),
+    "planner": _planned(_setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "road", _assuming(0.9, "informed")),
+                        period=0.1, delay=0.3, start="pose"),
+    "planner, late samples": _planned(_setup({"name": "van"}, {"name": "country"}, {"lateral": 2.5}, "production",
+                                             _assuming([0.6, 1.0], "learning"), _assuming(0.9, "stanley"), seed=5),
+                                      period=0.2, delay=0.1),
+    "planner, published": _planned(_setup(PAPER, {"name": "town"}, {"lateral": 3.0}, "paper",
+                                          _assuming(0.8, "published")), period=0.15, delay=0.2, start="pose"),
     "tests, typed": _setup(TYPED, {"test": "triple-lane-change"}, {}, "road", "learning", "published-nn", wind=5.0),
 }  # fmt: skip
 
 
 def simulate_setup(setup):
-    """The drives of a setup, one for each controller."""
+    """The drives of a setup, one for each controller; the planner may be one of Python."""
     car, profile = car_of(setup["car"]), at.load_profile(setup["profile"])
     drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
     mass = (setup.get("truth") or {}).get("mass")
@@ -113,7 +126,12 @@ def simulate_setup(setup):
             at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if controller.get("knows") == "sheet" else car
         )
         steering_controller, seed = controller_of(controller, model_car, profile), int(setup.get("seed", 0))
-        if speed_control := controller.get("speed_control"):
+        if planner := setup.get("planner"):
+            driver = at.SpeedControl(model_car, **controller["speed_control"])
+            simulated = SimulatedPlanner(**planner) if isinstance(planner, dict) else planner
+            planned = PlannedController(steering_controller, driver, simulated)
+            runs.append(at.simulate(plant, planned, drive, profile=world, seed=seed))
+        elif speed_control := controller.get("speed_control"):
             driver = at.SpeedControl(model_car, **speed_control)
             runs.append(at.simulate(plant, steering_controller, drive, profile=world, driver=driver, seed=seed))
         else:
@@ -198,5 +216,7 @@ def columns_of(trajectory):
         for key, values in group.items():
             columns[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
     columns.pop("longitudinal_acceleration", None)  # computed from the others
+    if np.isnan(columns.get("governed_speed", 0.0)).all():  # not recorded of a speed control behind a tracker
+        del columns["governed_speed"]
     count = int(np.isfinite(trajectory.command).sum())
     return {name: np.ascontiguousarray(values[:count], float) for name, values in columns.items()}

@@ -12,6 +12,7 @@ import adaptrack as at
 import page_drives
 from adaptrack import cli
 from adaptrack.core.kernel import INTERPRETED
+from adaptrack.drive.planner import SimulatedPlanner
 from adaptrack.export import page_file
 from adaptrack.export.page_setup import road_of
 from adaptrack.results.record import offset_scale
@@ -117,6 +118,9 @@ def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
     ({"lateral_acceleration": 0.0}, "lateral_acceleration (m/s^2) = 0.0: the page drives 0.5 to 12"),
     ({"road": TIGHT}, "points, s = 60 to 60 m: the wheels must turn at"),
     ({"profile": "production", "controllers": ["published"]}, "does not measure vy"),
+    ({"planner": SimulatedPlanner(jitter=0.1)}, "the page has period, delay, noise, start"),
+    ({"planner": SimulatedPlanner(delay=3.0)}, "delay = 3.0: the page has 0 to 2"),
+    ({"planner": SimulatedPlanner(), "controllers": ["published-nn"]}, "has a scheduler"),
 ])  # fmt: skip
 def test_what_the_page_cannot_drive_is_refused_before_it_is_written(options, message, tmp_path):
     with pytest.raises(at.InvalidInput, match=re.escape(message)):
@@ -149,6 +153,9 @@ def test_the_command_writes_the_same_page_and_says_how_large_it_is(monkeypatch, 
     assert code == 0
     assert json.loads(report) == {"file": str(out), "bytes": out.stat().st_size}
     assert out.read_bytes() == page.read_bytes()
+    code, _, _ = run_command(monkeypatch, capsys, "--out", out, "--planner", "delay=0.3")
+    assert code == 0
+    assert out.read_bytes() != page.read_bytes()
 
 
 def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
@@ -180,7 +187,7 @@ def test_it_begins_with_what_it_was_exported_with(browser_window, tmp_path):
     car = at.vehicle_from_data_sheet("own", mass=1300.0, wheelbase=2.5)
     exported_page = at.export_page(
         tmp_path / "own.html", vehicle=car, road=points, speed=12.0, profile="production",
-        controllers=["learning", "stanley"], seed=3,
+        controllers=["learning", "stanley"], seed=3, planner=SimulatedPlanner(delay=0.3, start="pose"),
     )  # fmt: skip
     state = open_page(browser_window, exported_page).run(STATE)
     assert state["notice"] == ""
@@ -190,6 +197,7 @@ def test_it_begins_with_what_it_was_exported_with(browser_window, tmp_path):
     assert (state["setup"]["speed"], state["setup"]["profile"], state["setup"]["seed"]) == (
         {"constant": 12.0}, "production", 3,
     )  # fmt: skip
+    assert state["setup"]["planner"] == {"period": 0.1, "delay": 0.3, "noise": 0.0, "start": "pose"}
     assert len(state["cars"]) == 2
 
 

@@ -234,6 +234,101 @@ TOUCHES = {
 }  # fmt: skip
 
 
+# -- a planner --------------------------------------------------------------------------------------------------------
+class RecordedPlanner:
+    """A planner that sends the trajectories of a page's drive again, each at the instant of its arrival."""
+
+    def __init__(self, trajectories):
+        self.trajectories = trajectories
+
+    def begin(self, road_drive):
+        self.instant = -1
+        return self
+
+    def step(self, sample):
+        self.instant += 1
+        return [
+            (at.PlannedTrajectory(*trajectory["points"].reshape(-1, 5).T, stamp=trajectory["stamp"]), None)
+            for trajectory in self.trajectories
+            if trajectory["at"] == self.instant
+        ]
+
+
+def planned_drive(ask, setup, *messages):
+    """The frames of the only car of a drive behind a planner, and the trajectories that have arrived."""
+    answers = ask({"type": "start", "id": 1, "setup": setup}, *messages)
+    assert refusals_of(answers) == []
+    arrived = [trajectory for answer in answers if answer["type"] == "frames"
+               for trajectory in answer["cars"][0]["trajectories"]]  # fmt: skip
+    return frames(answers)[0], arrived
+
+
+SILENT_PLANNER = page_drives._planned(
+    page_drives._setup(page_drives.SEDAN, {"name": "country"}, {"lateral": 2.5}, "production",
+                       page_drives._assuming(0.9, "informed"), seed=3),
+    period=0.1, delay=0.2, noise=0.03, start="pose",
+)  # fmt: skip
+
+
+def test_the_tracker_of_the_page_does_with_trajectories_what_that_of_the_package_does(ask):
+    """The planner's points are noisy, it falls silent, sends again, and has other settings from then on."""
+    columns, trajectories = planned_drive(
+        ask, SILENT_PLANNER, advance_message(60), change_message({"planner": {"silent": True}}), advance_message(40),
+        change_message({"planner": {"silent": False, "delay": 0.4, "period": 0.2, "start": "line"}}),
+        advance_message(100),
+    )  # fmt: skip
+    assert set(columns["driven_by"]) == {1.0, 3.0}
+    assert columns["driven_by"][-1] == 1.0
+    road = page_drives.road_of(SILENT_PLANNER["road"])
+    (first, *_) = trajectories
+    x, y = first["points"].reshape(-1, 5)[:, 1:3].T
+    assert 0.01 < np.std(road.project(x, y).offset) < 0.06
+    (run,) = page_drives.simulate_setup({**SILENT_PLANNER, "planner": RecordedPlanner(trajectories)})
+    expected = {name: values[:200] for name, values in page_drives.columns_of(run).items()}
+    assert differing(columns, expected) == {}
+
+
+def test_a_planner_plans_on_a_lap_as_that_of_the_package_does(ask, monkeypatch):
+    circle = 20.0 * np.array([(np.sin(a), 1.0 - np.cos(a)) for a in np.arange(0.0, 2.0 * np.pi, 0.1)])
+    road = {"points": np.round(circle, 6).tolist(), "closed": True, "name": "circle"}
+    setup = page_drives._planned(
+        page_drives._setup(page_drives.SEDAN, road, {"constant": 7.0}, "road", page_drives._assuming(0.9, "informed")),
+        period=0.1, delay=0.3, start="pose",
+    )  # fmt: skip
+    columns, _ = planned_drive(ask, setup, advance_message(600))
+    monkeypatch.setattr(page_drives, "CLOSED_ROAD_DURATION", 20.0)  # one lap
+    expected = page_drives.columns_of(page_drives.simulate_setup(setup)[0])
+    count = len(expected["x"])
+    assert count > 300
+    assert differing({name: values[:count] for name, values in columns.items()}, expected) == {}
+
+
+def test_a_controller_behind_a_planner_is_touched_while_it_drives(ask):
+    changes = (
+        {"belief": {"lag": 0.3}}, {"tuning": {"R": 30.0}}, {"speed_control": {"friction": [0.5, 0.8]}},
+        {"truth": {"lag": 0.25, "slope": 0.02}}, {"sensors": {"vy": False}}, {"push": {"vy": 0.5, "yaw_rate": 0.0}},
+    )  # fmt: skip
+    messages = [message for change in changes for message in (change_message(change), advance_message(40))]
+    columns, _ = planned_drive(ask, SILENT_PLANNER, advance_message(20), *messages, advance_message(60))
+    assert len(columns["x"]) == 20 + 40 * len(changes) + 60
+    assert np.abs(columns["error"]).max() < 0.6
+    assert (columns["driven_by"] == 1.0).all()
+
+
+@pytest.mark.parametrize(("change", "where"), [
+    ({"planner": {"period": 0.0, "start": "line"}}, "planner"),
+    ({"planner": {"period": 0.1, "start": "anywhere"}}, "planner"),
+    ({"planner": {"period": 0.1}, "controllers": [{"kind": "informed"}]}, "controller 1"),
+    ({"planner": {"period": 0.1}, "controllers": [page_drives._assuming(0.9, "published-nn")]}, "controller 1"),
+    ({"planner": {"period": 0.1}, "road": {"test": "triple-lane-change"}}, "planner"),
+])  # fmt: skip
+def test_a_planner_that_cannot_be_followed_is_refused_in_a_sentence(ask, change, where):
+    ((refused_at, sentence),) = refusals_of(ask({"type": "start", "id": 1, "setup": {**SILENT_PLANNER, **change}}))
+    assert refused_at == where
+    assert "engine failed" not in sentence
+
+
+# -- touches and the package ------------------------------------------------------------------------------------------
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TOUCHES)
 def test_what_is_touched_is_what_the_package_does_with_the_same(name, ask):

@@ -92,6 +92,54 @@ def test_a_car_that_is_dragged_is_pushed(window):
     assert "pushed to the left" in window.run(STATE)["events"][0]["text"]
 
 
+# -- a planner --------------------------------------------------------------------------------------------------------
+LATEST = """(({cars: [car]}) => {
+  const {points} = car.trajectory(car.count - 1), {x, y} = car.columns, last = car.count - 1;
+  return [Math.hypot(points[1] - x[last], points[2] - y[last]), points.length / 5];
+})(adaptrackPage.page.drive.history)"""
+"""Distance (m) of the car from the beginning of the planner's last trajectory, and its number of points."""
+
+
+def test_a_planner_is_chosen_touched_and_silenced(window):
+    assert window.run("document.getElementById('more-planner').hidden")
+    choose(window, "setup-planner", "pose")
+    window.wait(f"{STATE}.setup.planner && !adaptrackPage.page.drive.busy", 5)
+    window.run("adaptrackPage.pause()")
+    assert not window.run("document.getElementById('more-planner').hidden")
+    (car,) = drive(window, 100)
+    distance, count = window.run(LATEST)
+    assert 0.2 * car["last"]["vx"] < distance < 0.6 * car["last"]["vx"]  # 0.3 s ago
+    assert count > 20
+    assert car["rms"] < 0.1
+    assert "the planner drives" in window.run("document.getElementById('score').innerText")
+    window.run("(each => { each.value = '0.6'; each.dispatchEvent(new Event('input')); })"
+               "(document.getElementById('touch-planner-delay'))")  # fmt: skip
+    window.wait(f"{STATE}.events.length === 1 && !{STATE}.touching", 5)
+    speed = drive(window, 60)[0]["last"]["vx"]
+    assert window.run(f"{STATE}.setup.planner.delay") == 0.6
+    assert window.run(LATEST)[0] > 0.4 * speed
+    click(window, "silence")
+    window.wait(f"{STATE}.events.length === 2", 5)
+    (car,) = drive(window, 300)
+    assert car["last"]["vx"] < 0.01 * speed
+    window.wait("document.getElementById('score').innerText.includes('no trajectory comes: it stops')", 5)
+
+
+def test_a_link_holds_the_planner_and_a_drive_without_one_has_none(chromium, file):
+    link = "#road=town&planner=line&planner.delay=0.25&planner.noise=0.05&c1=lqr"
+    setup = open_page(chromium, file, link).run(f"{STATE}.setup")
+    assert setup["planner"] == {"period": 0.1, "delay": 0.25, "noise": 0.05, "start": "line"}
+    assert setup["controllers"][0]["speed_control"] == {"friction": 0.9}
+    address = chromium.run("location.hash")
+    assert open_page(chromium, file, address).run(f"{STATE}.setup") == setup
+    assert "--planner period=0.1,delay=0.25,noise=0.05,start=line" in chromium.run(
+        "document.getElementById('code-command').textContent"
+    )
+    choose(chromium, "setup-speed-control", "")
+    chromium.wait(f"!{STATE}.setup.planner && !{STATE}.setup.controllers[0].speed_control", 5)
+    assert "planner" not in chromium.run("location.hash")
+
+
 # -- a road of one's own ----------------------------------------------------------------------------------------------
 def test_a_road_is_drawn_with_the_pointer_and_with_keys(window):
     choose(window, "setup-road", "draw")

@@ -201,6 +201,10 @@ SHOWN = {
         "road": {"name": "town"}, "profile": "production", "controllers": [{"kind": "learning"}], "seed": 3,
     },
     "a law": {**SETUP, "controllers": SETUP["controllers"][1:]},
+    "a planner": {
+        **SETUP, "controllers": SETUP["controllers"][:1],
+        "planner": {"period": 0.2, "delay": 0.1, "noise": 0, "start": "pose"},
+    },
     "a test": {
         "road": {"test": "triple-lane-change"}, "car": {"name": "paper"}, "profile": "paper",
         "controllers": [{"kind": "published"}],
@@ -301,6 +305,7 @@ def test_a_car_that_was_saved_is_dropped_and_driven(window, file):
     [
         {"speed": {"constant": 1e9}}, {"car": {"sheet": {"mass": 0, "wheelbase": 2.5}}}, {"road": {"points": []}},
         {"profile": "dream"}, {"controllers": [{"kind": "witch"}]}, {"truth": {"lag": -1}},
+        {"planner": {"start": "line"}},
         {"controllers": [{"kind": "informed", "tuning": {"Np": 0, "Nc": -1, "Q": -1, "R": 0}}]},
     ],
     ids=json.dumps,

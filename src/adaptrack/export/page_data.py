@@ -64,6 +64,10 @@ turning, estimator or learner. On a road ``curved`` is 1 and ``feeds_forward`` 0
 3. ``prescribed_speed`` of the run is ``external_forces``, `control_planned_speed` its ``control_speed``, and there is
    room for ``speeds_ahead`` in ``speeds``. `roll_on` drives; what is seen is in ``frames``, by `show_period`.
 
+**A planner**: `tracker_numbers`, and of `controller_numbers` ``takes_late``, ``position_noise`` and ``patience``. The
+run has no controller and asks its caller (`features.asks`), which is a `core.tracker.step.Tracking` with the controller
+and the speed control; `page/planner.js` has the order of the calls.
+
 **A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
 by the kernel that ``made_by`` names, from car and common, of the LQR from its first three tuning entries as well; of
 ``tuning`` the entry that is NaN is ``steering_delay(file)``.
@@ -86,6 +90,8 @@ from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, loa
 from adaptrack.control.controllers import LQR, MPC, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.informed import order_of
+from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
+from adaptrack.control.following import DRIVERS, Following, PlannerFollower
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.control.speed_control import (
     ASSUMED_KNOWLEDGE,
@@ -93,16 +99,22 @@ from adaptrack.control.speed_control import (
     FRICTION_SENSORS,
     LONGEST_STEERING_DELAY,
     SpeedControl,
+    patience_of,
     speed_banks,
 )
+from adaptrack.control.tracker import Tracker, input_check_of, tracker_of
 from adaptrack.core.build.units import PAGE_CALLS
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning
-from adaptrack.core.kernel import EXPORTED, Array, Field, Scalar, columns, fields_of, float64, int64, size_of
+from adaptrack.core.input_check.record import MEMORY_SIZE, SETTINGS_SIZE, Check
+from adaptrack.core.kernel import EXPORTED, OK, Array, Field, Scalar, columns, fields_of, float64, int64, size_of
+from adaptrack.core.maths.portable import FUNCTION_NAMES
 from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.tyre import TYRE_NAMES
+from adaptrack.core.planned.clock import VERDICT
+from adaptrack.core.planned.condition import REVERSE_AHEAD
 from adaptrack.core.planning import drive, speed, station_table
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
@@ -113,11 +125,16 @@ from adaptrack.core.simulation.frame import FRAME, SPEED_FRAME
 from adaptrack.core.simulation.world import EXTERNAL_FORCES, SIGNAL
 from adaptrack.core.speed import path as speed_path
 from adaptrack.core.speed.friction import CERTAIN_RESERVE
+from adaptrack.core.speed.plan import SpeedPlanRecord
 from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order
 from adaptrack.core.tracker.longitudinal import Longitudinal
+from adaptrack.core.tracker.planner import Arrival
+from adaptrack.core.tracker.signals import TRACKED, TRACKER_SAMPLE
+from adaptrack.core.tracker.step import Tracking
 from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
-from adaptrack.drive.world import World
+from adaptrack.drive.planner import BACKWARD_LENGTH, PAUSE_DISTANCE, PAUSE_SPEED, SHORTEST_MERGE, SimulatedPlanner
+from adaptrack.drive.world import MAX_REQUESTED_SPEED, World
 from adaptrack.export.memory import kernel_names
 from adaptrack.export.page_inputs import car_fields, page_car, plain
 from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, page_road
@@ -131,7 +148,7 @@ RECORDS = (
     run.RunRecord, run.RunSizes, road.Centreline, station_table.AlongRecord, speed.Planning,
     drive.RoadDriveRecord, Order, MPCNumbers, laws.Common, CarRow, car.KnownWithinRow,
     SteeringRow, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
-    speed_path.PlanArrays,
+    speed_path.PlanArrays, SpeedPlanRecord, Tracking, Arrival,
 )  # fmt: skip
 """What the engine lays into memory."""
 CONTROLLER_KINDS = (
@@ -156,6 +173,9 @@ INPUTS = columns(
     Field("brake_lag", "s", 0.0, "The lag of the brakes", "[0.01, 1]"),
     Field("slope", "", 0.0, "The slope of the road", "[-0.15, 0.15]"),
     Field("mass", "", 1.0, "The factor on the mass", "[0.5, 2]"),
+    Field("planner_period", "s", 0.1, "The period of the planner", "[0.02, 2]"),
+    Field("planner_delay", "s", 0.0, "The delay of the planner", "[0, 2]"),
+    Field("planner_noise", "m", 0.0, "The noise of the planner's points", "[0, 0.5]"),
 )
 """What is set on the page, with its bounds."""
 MADE_BY = {
@@ -170,6 +190,7 @@ _WRITTEN = (
     "curved", "feeds_forward",
 )  # fmt: skip
 """Of the settings of an MPC, what kernels write, or the road decides."""
+FURTHEST = inspect.signature(Tracker).parameters["furthest"].default
 CORE_PACKAGE = "adaptrack.core."
 _LETTERS = {"float64": "f", "int64": "i", "boolean": "i", "void": ""}
 
@@ -184,6 +205,7 @@ def page_data() -> dict[str, Any]:
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(),
         "road_defaults": _along(Road.from_segments([Line(length=10.0)])),
         "frame": list(FRAME._fields), "speed_frame": list(SPEED_FRAME._fields), "speed_control": speed_numbers(),
+        "tracker": tracker_numbers(),
         "answer": list(mpc.MPC_ANSWER._fields), "beliefs": list(learning.BELIEF_NAMES),
         "no_schedule": image(no_schedule()),
         "profiles": {name: world_numbers(name) for name in list_profiles()},
@@ -193,7 +215,8 @@ def page_data() -> dict[str, Any]:
         "schedules": {name: image(load_scheduler(name).plan(1)) for name in ("road-nn", "road-anfis")},
         "roads": {name: _road(name) for name in PAGE_ROADS}, "tests": {name: _test(name) for name in PAPER_ROADS},
         "places": {"signal": SIGNAL._asdict(), "state": PLANT_STATE._asdict(), "input": PLANT_INPUT._asdict(),
-                   "plan": PLAN._asdict(), "slots": SLOTS, "states": PLANT_STATES},
+                   "plan": PLAN._asdict(), "measured": MEASUREMENT._asdict(), "tracked": TRACKED._asdict(),
+                   "slots": SLOTS, "states": PLANT_STATES},
     })  # fmt: skip
 
 
@@ -300,11 +323,32 @@ def speed_numbers() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def tracker_numbers() -> dict[str, Any]:
+    """A tracker that follows a planner, and the constants of its simulated planner, for a program without Python.
+
+    ``record`` is the image of a `core.tracker.records.TrackerRecord` with the default settings of a planner; the
+    program writes those of car and controller.
+    """
+    controller, planner = MPC(_any_car(), profile="road"), SimulatedPlanner()
+    planned = PlannerFollower(Following(), controller).planned
+    record = tracker_of(controller, None, None, FURTHEST, input_check_of(controller), planned)
+    return {
+        "record": image(record._replace(check=Check(np.zeros(SETTINGS_SIZE), np.zeros(MEMORY_SIZE)))),
+        "sample": list(TRACKER_SAMPLE._fields), "widest": MOST_WHEEL_ANGLE, "drivers": list(DRIVERS),
+        "taken": VERDICT.taken, "accepted": [OK, REVERSE_AHEAD], "functions": FUNCTION_NAMES,
+        "top_speed": MAX_REQUESTED_SPEED,
+        "planner": {
+            "spacing": planner.spacing, "horizon": planner.horizon, "merge": planner.merge, "behind": BACKWARD_LENGTH,
+            "shortest_merge": SHORTEST_MERGE, "pause_distance": PAUSE_DISTANCE, "pause_speed": PAUSE_SPEED,
+        },
+    }  # fmt: skip
+
+
 def controller_numbers(kind: str, profile: str) -> dict[str, Any]:
     """A controller of `CONTROLLER_KINDS` in a profile for a program without Python, see the module.
 
-    ``refused``: the sentence why there is none. Otherwise the constants, the name of its ``schedule``, its
-    ``diagnostics``, its ``tuning_names`` and its default tuning, ``usual``.
+    ``refused``: the sentence why there is none. Otherwise the constants, those of its filter, the name of its
+    ``schedule``, its ``diagnostics``, its ``tuning_names`` and its default tuning, ``usual``.
     """
     base, _, scheduled = kind.partition("-")
     world, is_published = load_profile(profile), base == "published"
@@ -316,7 +360,8 @@ def controller_numbers(kind: str, profile: str) -> dict[str, Any]:
     controller = page_controller(base if is_published else kind, _any_car(), world)
     numbers = _law_numbers(kind, controller) if kind in MADE_BY else _mpc_numbers(kind, controller, world)
     return {
-        **numbers, "schedule": f"road-{scheduled}" if is_published and scheduled else None,
+        **numbers, "takes_late": controller.takes_late, "position_noise": controller.position_noise,
+        "patience": patience_of(controller), "schedule": f"road-{scheduled}" if is_published and scheduled else None,
         "diagnostics": list(controller.diagnostic_names), "tuning_names": list(controller.tuning_names),
         "usual": dict(zip(controller.tuning_names, controller.packed_tuning().tolist(), strict=True)),
     }  # fmt: skip

@@ -26,7 +26,9 @@ from adaptrack.base.files import write_atomically
 from adaptrack.base.presentation import content_policy
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core import library
+from adaptrack.drive.planner import PlannedController, SimulatedPlanner
 from adaptrack.drive.world import World
 from adaptrack.export.page_data import CONTROLLER_KINDS, INPUTS, page_controller, page_data
 from adaptrack.export.page_inputs import MAX_PAGE_POINTS, page_car
@@ -36,7 +38,7 @@ from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 PAGE_SOURCES = Path(__file__).parent / "page"
-ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
+ENGINE = ("memory.js", "inputs.js", "makers.js", "planner.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
 FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
@@ -46,6 +48,8 @@ SPEED_WORDS = {"constant": "speed (m/s)", "lateral": "lateral_acceleration (m/s^
 
 
 MOST_CONTROLLERS = 2
+PLANNER_SETTINGS = ("period", "delay", "noise", "start")
+"""Of a `SimulatedPlanner`, on the page."""
 
 
 @checked
@@ -59,6 +63,7 @@ def export_page(
     profile: str = "road",
     controllers: Sequence[str] = ("informed",),
     seed: int = 0,
+    planner: SimulatedPlanner | None = None,
 ) -> Path:
     """Write the page on which one drives: one HTML file, at most 3 MB, that needs neither Python nor a network.
 
@@ -85,6 +90,9 @@ def export_page(
         "pure-pursuit", "stanley", "lqr".
     seed : int
         Of the sensors' noise.
+    planner : SimulatedPlanner, optional
+        Planner between the road and the cars, which then have a speed control. The page has its settings `period`,
+        `delay`, `noise` and `start`.
 
     Raises
     ------
@@ -99,7 +107,7 @@ def export_page(
     if not 1 <= len(controllers) <= MOST_CONTROLLERS:
         raise InvalidInput(f"export_page: {len(controllers)} controllers; the page drives one or two.")
     car = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
-    setup = {
+    setup: dict[str, Any] = {
         "car": {"name": vehicle}
         if isinstance(vehicle, str) and vehicle in list_vehicles()
         else {"file": page_car(car)},
@@ -113,8 +121,24 @@ def export_page(
             {"kind": _check_name("controller", controller, CONTROLLER_KINDS)} for controller in controllers
         ],
     }
-    _refuse_undrivable(setup, car)
+    _refuse_undrivable(setup, car, planner)
+    if planner is not None:
+        setup["planner"] = _planner_settings(planner)
+        for controller in setup["controllers"]:
+            controller["speed_control"] = {"friction": SpeedControl(car).friction}
     return write_page(file, setup)
+
+
+def _planner_settings(planner: SimulatedPlanner) -> dict[str, Any]:
+    """The planner of a setup; raises `InvalidInput` for settings that the page has not."""
+    settings = {name: getattr(planner, name) for name in PLANNER_SETTINGS}
+    if planner != SimulatedPlanner(**settings):
+        raise InvalidInput(f"export_page: planner: the page has {', '.join(PLANNER_SETTINGS)}; leave out the others.")
+    for name in PLANNER_SETTINGS[:-1]:
+        low, high = INPUTS.field_settings[f"planner_{name}"].ends
+        if not low <= settings[name] <= high:
+            raise InvalidInput(f"export_page: planner: {name} = {settings[name]!r}: the page has {low:g} to {high:g}.")
+    return settings
 
 
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
@@ -133,8 +157,8 @@ def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     return {"points": points.tolist(), "closed": closed, "name": name}
 
 
-def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle) -> None:
-    """Refuse speed, road and controllers that the page would refuse.
+def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle, planner: SimulatedPlanner | None) -> None:
+    """Refuse speed, road and controllers that the page would refuse; planner: which these follow.
 
     Raises
     ------
@@ -154,7 +178,10 @@ def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle) -> None:
             raise InvalidInput(f"export_page: {place}: {finding.text}. Choose another road, car or speed.")
     with _quiet():
         for controller in setup["controllers"]:
-            World.of(DualTrack(car), page_controller(controller["kind"], car, profile), profile, None, None, None)
+            steering = page_controller(controller["kind"], car, profile)
+            World.of(DualTrack(car), steering, profile, None, None, None)
+            if planner is not None:
+                PlannedController(steering, SpeedControl(car), planner).make_tracker()
 
 
 def _check_name(kind: str, name: str, names: Iterable[str]) -> str:

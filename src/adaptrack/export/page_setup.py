@@ -9,6 +9,8 @@ A setup is plain data for JSON:
     truth        {lag, dead_time, bias, noise, friction, wind, brake_lag, slope, mass} where the world differs, else
                  null; noise and mass: factors; slope: dz/ds of a road, which a speed control knows
     seed         of the noise
+    planner      {period, delay, noise, start} of a `drive.planner.SimulatedPlanner` that the cars follow, or null; they
+                 then have a speed control. The noise of its points comes from other random numbers
     controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}}; with knows: "sheet"
                  one knows mass and wheelbase of the car, no more; with speed_control: {friction} a speed control that
                  assumes this friction, or [low, high], drives and brakes the car, on roads, otherwise the speed is

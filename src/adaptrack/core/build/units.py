@@ -37,12 +37,16 @@ PAGE_CALLS = (
     # speeds and drives
     "plan_places", "plan_along_road", "plan_constant", "drive_periods", "drive_samples", "drive_start",
     "complete_samples",
+    # a planner, and the tracker that follows it
+    "check_settings", "tracker_engage", "tracker_apply", "tracker_step", "tracker_predict", "watch_planner",
+    "trajectory_words", "take_trajectory", "begin_trajectory", "longitudinal_follow",
+    "project_all", "planned_speeds", "plan_motion", "elementary_values", "counted_normal",
 )  # fmt: skip
 """The kernels that the driving page calls by name."""
 PAGE_MEMBERS = (
     *CONTROLLERS,
     *(plant for plant in PLANTS if plant.startswith("dual_track")),
-    "control_planned_speed", "show_period",
+    "control_planned_speed", "show_period", "longitudinal_step", "narrow_tracked_friction",
 )  # fmt: skip
 """Members whose addresses the records of the page hold."""
 PAGE_KERNELS = (*PAGE_CALLS, *PAGE_MEMBERS)

@@ -323,6 +323,15 @@ function makeScore() {
   return parts;
 }
 
+// Who drives a car behind a planner, and how late it is; "" without one.
+const DRIVEN_BY = {nobody: "no trajectory yet", planner: "the planner drives", fallback: "the fallback drives", stop: "no trajectory comes: it stops"};
+function plannerText(car, t) {
+  if (!car.columns.driven_by) return "";
+  const driver = page.data.tracker.drivers[valueAt(car, "driven_by", t, true)], late = valueAt(car, "late", t, true);
+  const lateness = Math.abs(late) < 0.005 ? ", on time" : `, ${Math.abs(late).toFixed(2)} s ${late < 0 ? "early" : "late"}`;
+  return `\n${DRIVEN_BY[driver]}${Number.isFinite(late) ? lateness : ""}`;
+}
+
 function showScore() {
   const {drive, clock} = page;
   if (!drive) return;
@@ -337,7 +346,7 @@ function showScore() {
     setText(byId(`error-${i}`), failed ? `${wordsOfEnd(car)}` : `${number} ${unit}`);
     setText(byId(`rest-${i}`), failed
       ? `at ${car.failed.toFixed(1)} s\nRMS error until then ${lengthText(whole.rms)}`
-      : `RMS error, last ${WINDOW} s\nwhole drive ${lengthText(whole.rms)}, largest ${lengthText(whole.most)}`);
+      : `RMS error, last ${WINDOW} s\nwhole drive ${lengthText(whole.rms)}, largest ${lengthText(whole.most)}${plannerText(car, t)}`);
     if (failed) sentences.push(failureSentence(car, i));
   });
   const verdict = byId("verdict"), over = drive.over && t >= clock.limit - 1e-6;
@@ -378,7 +387,7 @@ function remedy(setup, controller, i) {
 // ---- pictures
 
 const PLOT_SETS = {
-  few: ["error", "steering"], speed: ["speed", "grip", "assumed_friction", "error", "steering"], belief: ["error", "lag", "dead_time", "stiffness", "bias", "steering"], schedule: ["error", "horizons", "weights", "steering"],
+  few: ["error", "steering", "late"], speed: ["speed", "late", "grip", "assumed_friction", "error", "steering"], belief: ["error", "lag", "dead_time", "stiffness", "bias", "steering"], schedule: ["error", "horizons", "weights", "steering"],
   paper: ["path", "error", "steering"], all: null,
 };
 let plotSet = "few";
@@ -429,7 +438,7 @@ function setUpLooks() {
 
 function showKey() {
   const {top, shades, cars} = page.drive.history;
-  byId("key").innerHTML = `driven line: error 0 <span class="shades">${shades.map(shade => `<i style="background:${shade}"></i>`).join("")}</span> ${top} m${cars.some(car => car.failed !== null) ? " and more" : ""} · dotted: what the controller foresees`;
+  byId("key").innerHTML = `driven line: error 0 <span class="shades">${shades.map(shade => `<i style="background:${shade}"></i>`).join("")}</span> ${top} m${cars.some(car => car.failed !== null) ? " and more" : ""} · dotted: what the controller foresees${page.setup.planner ? " · thin line with points: the planner’s trajectory" : ""}`;
 }
 
 // ---- everything together

@@ -15,16 +15,19 @@ function pythonOf(setup) {
   const drive = pythonDrive(road, speed, truth), imports = drive.filter(line => line.startsWith("from "));
   lines.splice(1, 0, ...imports);
   lines.push(...pythonCar(car), ...pythonWorld(profile, truth), ...drive.filter(line => line && !imports.includes(line)));
+  if (setup.planner) lines.splice(1, 0, "from adaptrack.drive.planner import PlannedController, SimulatedPlanner");
   setup.controllers.forEach((controller, i) => {
+    const steering = pythonController(controller), {start, ...numbers} = setup.planner ?? {};
+    const planned = setup.planner ? `PlannedController(${steering}, ${speedControlText(controller)}, SimulatedPlanner(${pythonArguments(numbers)}, start=${text(start)}))` : steering;
     const name = setup.controllers.length > 1 ? ` # ${i ? "second" : "first"}` : "";
-    lines.push("", `controller = ${pythonController(controller)}${name && ` ${name}`}`,
-      `run = at.simulate(at.DualTrack(${isSet(truth?.mass) ? `car.replace(mass=car.mass * ${pythonNumber(truth.mass)})` : "car"}), controller, drive, profile=world, seed=${seed}${pythonDriver(controller)})`,
+    lines.push("", `controller = ${planned}${name && ` ${name}`}`,
+      `run = at.simulate(at.DualTrack(${isSet(truth?.mass) ? `car.replace(mass=car.mass * ${pythonNumber(truth.mass)})` : "car"}), controller, drive, profile=world, seed=${seed}${setup.planner || !controller.speed_control ? "" : `, driver=${speedControlText(controller)}`})`,
       "print(run.failed, at.compute_metrics(run).mse ** 0.5)  # None, or why it ended; m, RMS");
   });
   return lines.join("\n");
 }
 
-const pythonDriver = ({speed_control}) => speed_control ? `, driver=at.SpeedControl(car, friction=${Array.isArray(speed_control.friction) ? `(${speed_control.friction.map(pythonNumber).join(", ")})` : pythonNumber(speed_control.friction)})` : "";
+const speedControlText = ({speed_control: {friction}}) => `at.SpeedControl(car, friction=${Array.isArray(friction) ? `(${friction.map(pythonNumber).join(", ")})` : pythonNumber(friction)})`;
 
 function pythonCar({name, sheet, file}) {
   if (name) return [`car = at.load_vehicle(${text(name)})`];
@@ -96,6 +99,7 @@ function commandOf(setup) {
   const assumed = [...new Set(controllers.map(({speed_control}) => [speed_control?.friction].flat().join(":")))];
   if (assumed.length > 1) missing.push("the frictions that the speed controls assume");
   else if (assumed[0]) parts.push(`--speed-control --assumed-friction ${assumed[0]}`);
+  if (setup.planner) parts.push(`--planner ${Object.entries(setup.planner).map(([name, value]) => `${name}=${value}`).join(",")}`);
   const names = {informed: "informed", learning: "informed", published: "standard", "pure-pursuit": "pure-pursuit", stanley: "stanley", lqr: "lqr"};
   for (const {kind, tuning, belief} of controllers) {
     if (names[kind]) parts.push(`--controller ${names[kind]}`);

@@ -11,7 +11,8 @@
 //   -> anything that cannot be                   <- {type: "refused", id, message, where}
 //
 // A frame of a car is a row of numbers (`columns` of "started" name them), the predicted path as x, y in turn, and the
-// planned moves; a car whose drive has ended gives no more of them and says why. What is changed acts from the next
+// planned moves; behind a planner there are the trajectories that have arrived: {at: frame, time, stamp, points}, rows of
+// t, x, y, yaw, speed. A car whose drive has ended gives no more frames and says why. What is changed acts from the next
 // instant on; car: 0, 1, or null for all; friction, wind and ice are of the road, thus the same for all. The drive that
 // a new one replaces is forgotten; nothing that was posted is kept.
 "use strict";
@@ -59,6 +60,7 @@ function begin(made, setup) {
     throw new Refusal("seed", `The seed is ${setup.seed}: it must be a whole number of at least 0.`);
   const world = worldOf(setup.profile, setup.truth), car = carOf(setup.car), of = roadOf(setup.road);
   const samples = samplesOf(setup, of, car, world);
+  if (setup.planner && of.test) throw new Refusal("planner", "The paper's tests have no road to plan along: choose a road.");
   Object.assign(made, { world, car, of, samples, seed });
   controllers.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
 }
@@ -74,11 +76,15 @@ function carRun(entry, made, where) {
     made: [],
   };
   made.cars.push(state);
-  state.plant = plantOf(car, state.world, topSpeedOf(samples));
+  const requestable = made.setup.planner ? written.tracker.top_speed : 0;
+  state.plant = plantOf(car, state.world, Math.max(topSpeedOf(samples), requestable));
   if (entry?.speed_control) state.world.settings.prescribed_speed = written.speed_control.external_forces;
   const controller = owning(state.made, () => controllerOf(entry, car, state.world, where));
   state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), controller, made, where) : null;
+  if (made.setup.planner) state.tracker = trackerOf(state, controller, made);
   owning(state.made, () => Object.assign(state, ready(state, controller, made)));
+  if (state.tracker) memory.call("tracker_engage", 0, NaN, state.tracker.record.tracker);
+  if (state.tracker) memory.call("tracker_apply", state.tracker.record);
   state.horizon = state.run.controller.mpc.settings.longest_horizon;
   state.moves = state.run.controller.mpc.settings.most_moves;
 }
@@ -89,10 +95,11 @@ function ready(own, controller, made) {
   const answerColumns = parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
   const columns = [...written.frame, ...answerColumns, ...(own.speed ? written.speed_frame : [])];
   const run = memory.make("simulation.run.RunRecord", runOf({ ...own, controller, parts, columns }, made));
-  if (own.speed) own.speed.record = run.longitudinal;
+  if (own.speed && !own.tracker) own.speed.record = run.longitudinal;
   if (!controller.law) memory.call("mpc_prepare", run.controller.mpc);
   memory.call("begin_runs", 1, run);
-  return { controller, parts, run, columns };
+  if (own.tracker) attachTracker(own, made, controller, run);
+  return { controller, parts, run, columns: own.tracker ? [...columns, ...TRACKED_COLUMNS] : columns };
 }
 
 function topSpeedOf({ signals }) {
@@ -104,7 +111,7 @@ function topSpeedOf({ signals }) {
 }
 
 /** All that a run is made of. */
-function runOf({ controller, parts, plant, speed: control, columns, world }, { car, of, samples, seed }) {
+function runOf({ controller, parts, plant, speed: control, tracker, columns, world }, { car, of, samples, seed }) {
   const { sizes } = written, { signals } = samples, { schedule } = controller;
   const [rows, count] = signals.shape, speed = view(signals, written.places.signal.speed * count, [1]).values[0];
   const first = new Float64Array(sizes.own_states);
@@ -120,7 +127,7 @@ function runOf({ controller, parts, plant, speed: control, columns, world }, { c
     starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
     dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1,
     past: world.remembered, requested: world.requested,
-    speeds: control ? written.speed_control.speeds_ahead : 0,
+    speeds: control && !tracker ? written.speed_control.speeds_ahead : 0,
     frames: SHOWN, columns: columns.length,
     points: 2 * parts.settings.longest_horizon, moves: parts.settings.most_moves,
     controller: {
@@ -137,7 +144,7 @@ function runOf({ controller, parts, plant, speed: control, columns, world }, { c
       variables: schedule ? 1 : 0,
       estimates: 0,
       traces: 0,
-      asks: 0,
+      asks: tracker ? 1 : 0,
       window: 0,
     },
     vehicles: {
@@ -149,7 +156,7 @@ function runOf({ controller, parts, plant, speed: control, columns, world }, { c
     },
     inputs: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)], periods: [BigInt(samples.periods)] },
     cost_limit: [NaN],
-    control_speed: linked(control ? "control_planned_speed" : null),
+    control_speed: linked(control && !tracker ? "control_planned_speed" : null),
     longitudinal: control ? lent(control.record) : {},
     show: linked("show_period"),
     controller: {
@@ -170,6 +177,7 @@ const NO_ROAD = { of: [-1n] };
 function end(ended) {
   for (const car of ended?.cars ?? []) {
     memory.free(car.run);
+    forget(car.tracker?.followed ?? []);
     forget(car.made);
   }
   if (ended) forget(ended.owned);
@@ -223,15 +231,16 @@ function advanceCar(own, count) {
   for (const [table, width] of Object.entries(widths)) rows[table] = new Float64Array(count * width);
   let periods = 0;
   while (periods < count) {
-    const first = own.run.memory.drives.row(0).instant, chunk = Math.min(count - periods, pulledFor(own), SHOWN);
-    const advanced = memory.call("roll_on", chunk, 1, own.run);
+    const first = own.run.memory.drives.row(0).instant, chunk = own.tracker ? 1 : Math.min(count - periods, pulledFor(own), SHOWN);
+    const advanced = own.tracker ? stepBehindPlanner(own) : memory.call("roll_on", chunk, 1, own.run);
     for (const [table, width] of Object.entries(widths)) {
-      const { values } = own.run.frames[table];
+      const { values, shape } = own.run.frames[table], [, shown] = shape;
       for (let k = 0; k < advanced; k++) {
-        const from = ((first + k) % SHOWN) * width;
-        rows[table].set(values.subarray(from, from + width), (periods + k) * width);
+        const from = ((first + k) % SHOWN) * shown;
+        rows[table].set(values.subarray(from, from + shown), (periods + k) * width);
       }
     }
+    if (own.tracker && advanced) showTracked(own, rows, periods);
     periods += advanced;
     afterPull(own, advanced);
     if (advanced < chunk) break;
@@ -242,6 +251,7 @@ function advanceCar(own, count) {
     numbers: cut("numbers"),
     predicted: new Float32Array(cut("predicted")),
     moves: new Float32Array(cut("moves")),
+    ...(own.tracker ? { trajectories: own.tracker.trajectories.splice(0) } : {}),
     ended: ending(own),
   };
 }
@@ -272,7 +282,15 @@ function change({ id, car, what }) {
   return [{ type: "changed", id }];
 }
 
-const TOUCHES = { tuning, belief, truth, push, pull, ice, sensors, speed_control: assumeFriction };
+const TOUCHES = { tuning, belief, truth, push, pull, ice, sensors, speed_control: assumeFriction, planner: changePlanner };
+
+/** Other settings of the planner, from its next trajectory on. */
+function changePlanner(cars, given) {
+  for (const { tracker, where } of cars) {
+    if (!tracker) throw new Refusal(where, "This car follows no planner.");
+    tracker.planner.settings = checkedPlanner({ ...tracker.planner.settings, ...given });
+  }
+}
 
 function tuning(cars, given) {
   for (const car of cars) {

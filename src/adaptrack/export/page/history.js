@@ -9,7 +9,8 @@
 //             limits: {angle, move},                      rad: |command| and |change of the command a period| at most
 //             columns: {time, x, y, yaw, ...: typed arrays; the first `count` entries count},
 //             predicted(i) -> null | {x, y, count},                    world, m; a view, valid until the next call
-//             moves(i) -> null | {values, count, least, most}}],       rad; likewise
+//             moves(i) -> null | {values, count, least, most},         rad; likewise
+//             trajectory(i) -> undefined | {time, points}}],           the planner's last: rows of t, x, y, yaw, speed
 //     events: [{time, text}],                                          marked on the road and in the plots
 //     patches: [{from, to, friction}],                                 m; of ice
 //     truth: {belief_lag: [{time, value}], ...},         what is true from a time on, by the column of the belief
@@ -95,7 +96,8 @@ function growingCar({name, outline, columns: names, horizon = 0, moves: most = 0
   const path = {x: new Float64Array(horizon), y: new Float64Array(horizon), count: 0};
   const plan = {values: null, count: 0, least: NaN, most: NaN};
   return {
-    name, outline, limits, names, columns, count: 0, largest: 0, failed: null, ended: null, paths, plans,
+    name, outline, limits, names, columns, count: 0, largest: 0, failed: null, ended: null, paths, plans, trajectories: [],
+    trajectory(i) { return this.trajectories.findLast(({at}) => at <= i); },
     predicted(i) {
       const row = paths.row(i);
       if (!row) return null;
@@ -160,7 +162,9 @@ function appendFrames(history, {first, count, cars}) {
   return true;
 }
 
-function appendTo(car, count, {numbers, predicted, moves, ended}) {
+function appendTo(car, count, {numbers, predicted, moves, trajectories = [], ended}) {
+  car.trajectories.push(...trajectories);
+  car.trajectories.splice(0, car.trajectories.length - RECENT);
   const {names, columns} = car, width = names.length;
   const rows = Math.min(count, Math.floor(numbers.length / width));
   for (let k = 0; k < width; k++) {

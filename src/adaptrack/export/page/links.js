@@ -9,6 +9,7 @@ const LONGEST_LINK = 7500;  // letters
 const TRUTHS = ["lag", "dead_time", "bias", "noise", "friction", "wind", "brake_lag", "slope", "mass"];
 const TUNINGS = ["Np", "Nc", "Q", "R"];
 const BELIEFS = ["lag", "dead_time"];
+const PLANNER_NUMBERS = ["period", "delay", "noise"];
 const shortNumber = value => String(+(+value).toPrecision(12));
 
 function addressOf(setup, touches = []) {
@@ -23,6 +24,8 @@ function addressOf(setup, touches = []) {
   words.set("profile", setup.profile);
   if (setup.seed) words.set("seed", setup.seed);
   for (const name of TRUTHS) if (truth?.[name] != null) words.set(name, shortNumber(truth[name]));
+  if (setup.planner) words.set("planner", setup.planner.start);
+  for (const name of PLANNER_NUMBERS) if (setup.planner) words.set(`planner.${name}`, shortNumber(setup.planner[name]));
   controllers.forEach(({kind, tuning, belief, told, speed_control}, i) => {
     words.set(`c${i + 1}`, kind);
     if (told) words.set(`c${i + 1}.told`, "1");
@@ -84,6 +87,10 @@ function setupOf(hash) {
   for (const {kind} of controllers) if (!CONTROLLERS[kind]) notes.push(`The link names a controller ${kind}, which this page does not have.`);
   const supported = controllers.filter(({kind}) => CONTROLLERS[kind]);
   if (supported.length) setup.controllers = supported;
+  if (["line", "pose"].includes(words.get("planner"))) {
+    const given = PLANNER_NUMBERS.map(name => [name, number(`planner.${name}`, 0)]).filter(([, value]) => value !== null);
+    Object.assign(setup, plannerChoice({...setup, planner: Object.fromEntries(given)}, words.get("planner")));
+  }
   return {setup, notes};
 }
 

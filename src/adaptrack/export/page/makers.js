@@ -570,19 +570,20 @@ function speedControlOf(entry, car, controller, { world, of, samples, setup }, w
 
 /** A plan at even places of its road of a slope, and what writes it for another slope. */
 function speedPathOf(of, plan, slope) {
-  const { line, length, closed } = of;
+  const { line, length, closed } = of, stands = plan.stops?.shape[0] ?? 0;
   const arrays = mine(memory.make("speed.path.PlanArrays", {
     line: { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) },
     s: share(plan.s), speed: share(plan.speed), grade: alongOf(slope), bank: alongOf(Infinity), stops_at_end: 0,
+    ...(stands ? { stops: share(plan.stops), seconds: share(vectorOf(new Array(stands).fill(Infinity))) } : {}),
   }));
-  const words = mine(memory.array("F", [memory.call("speed_path_words", length, closed ? 1 : 0, 0)]));
+  const words = mine(memory.array("F", [memory.call("speed_path_words", length, closed ? 1 : 0, stands)]));
   const [status, stops] = memory.call("write_speed_path", arrays, words);
   if (status !== OK) throw new Refusal("speed", "The speed control cannot follow this plan: choose another speed or road.");
   const climb = (value) => {
     arrays.grade.value.values.fill(value);
     memory.call("write_speed_path", arrays, words);
   };
-  const count = (words.shape[0] - 2) / 4, part = (first, size) => share(view(words, first, [size]));
+  const count = (words.shape[0] - 2 * (stands + 1)) / 4, part = (first, size) => share(view(words, first, [size]));
   const path = {
     square: part(0, count), curvature: part(count, count), slope: part(2 * count, count), bank: part(3 * count, count),
     stops: part(4 * count, stops), seconds: part(4 * count + stops, stops),

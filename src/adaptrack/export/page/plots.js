@@ -55,6 +55,10 @@ const PLOTS = [
     ],
   },
   {
+    name: "late", title: "Behind the times of the planner", unit: "s", digits: 2, least: 0.2, around0: true,
+    lines: [{column: "late", label: "late"}],
+  },
+  {
     name: "longitudinal", title: "Longitudinal acceleration", unit: "m/s²", digits: 2, least: 1, around0: true,
     lines: [{column: "longitudinal_acceleration", label: "longitudinal"}],
   },

@@ -31,6 +31,12 @@ const ASSUMED_FRICTION = 0.9;  // of a speed control
 const frictionEnds = friction => Array.isArray(friction) ? friction : [friction, friction];
 const frictionText = (friction, digits = 2) => [...new Set(frictionEnds(friction))].map(end => end.toFixed(digits)).join(" to ");
 const withSpeedControl = (controllers, friction = ASSUMED_FRICTION) => controllers.map(controller => ({...controller, speed_control: {friction}}));
+const PLANNER = {period: 0.1, delay: 0.3, noise: 0};
+// Behind a planner a car needs a speed control: the changes of a setup; start: "line", "pose", "" without a planner.
+const plannerChoice = ({planner, controllers}, start) => !start ? {planner: null} : {
+  planner: {...PLANNER, ...planner, start},
+  controllers: controllers.map(controller => controller.speed_control ? controller : withSpeedControl([controller])[0]),
+};
 const withoutSpeedControl = controllers => controllers.map(({speed_control, ...controller}) => controller);
 
 function makeSetup(more = {}) {
@@ -86,8 +92,9 @@ function showChoices() {
   byId("setup-speed-kind").value = constant ? "constant" : "lateral";
   field.value = constant ? setup.speed.constant : setup.speed?.lateral ?? TOP.lateral;
   byId("setup-speed-control").value = setup.controllers.some(controller => controller.speed_control) ? "on" : "";
+  byId("setup-planner").value = setup.planner?.start ?? "";
   const prescribed = Boolean(road.test);  // a test says its own speed
-  field.disabled = byId("setup-speed-kind").disabled = byId("setup-speed-control").disabled = prescribed;
+  for (const id of ["setup-speed", "setup-speed-kind", "setup-speed-control", "setup-planner"]) byId(id).disabled = prescribed;
   for (const id of ["sheet", "file-car", "file-road", "draw"]) byId(id).hidden = true;
   if (!CSS.supports("field-sizing", "content")) document.querySelectorAll("#setup select").forEach(fit);
 }
@@ -115,7 +122,8 @@ function setUpChoosing() {
   byId("setup-road").onchange = event => chooseRoad(event.target.value);
   byId("setup-speed").onchange = byId("setup-speed-kind").onchange = chooseSpeed;
   byId("setup-speed-control").onchange = event =>
-    choose({controllers: (event.target.value ? withSpeedControl : withoutSpeedControl)(page.setup.controllers)});
+    choose(event.target.value ? {controllers: withSpeedControl(page.setup.controllers)} : {planner: null, controllers: withoutSpeedControl(page.setup.controllers)});
+  byId("setup-planner").onchange = event => choose(plannerChoice(page.setup, event.target.value));
   byId("setup-profile").onchange = event => choose({profile: event.target.value, truth: {...page.setup.truth, lag: null, dead_time: null, bias: null}});
   for (const i of [0, 1]) byId(`setup-controller-${i}`).onchange = event => chooseController(i, event.target.value);
   byId("again").onclick = () => choose({});
@@ -140,7 +148,7 @@ function chooseCar(value) {
 function chooseRoad(value) {
   const [kind, name] = value.split(":");
   if (kind === "name") choose({road: {name}});
-  else if (kind === "test") choose({road: {test: name}, car: page.setup.car, controllers: withoutSpeedControl(page.setup.controllers), truth: {...page.setup.truth, slope: null}});
+  else if (kind === "test") choose({road: {test: name}, car: page.setup.car, planner: null, controllers: withoutSpeedControl(page.setup.controllers), truth: {...page.setup.truth, slope: null}});
   else if (kind === "draw") openDrawing();
   else if (kind === "file") open("file-road");
 }

@@ -20,6 +20,9 @@ const SLIDERS = [
   {id: "brake-lag", box: "world", kind: "truth", name: "brake_lag", label: "True lag of the brakes", unit: "s", least: 0.01, most: 1, step: 0.01, digits: 2, forces: true},
   {id: "slope", box: "world", kind: "truth", name: "slope", label: "Slope of the road, positive uphill", unit: "%", least: -12, most: 12, step: 0.5, digits: 1, scale: 0.01, forces: true},
   {id: "mass", box: "world", kind: "truth", name: "mass", label: "True mass, times that of the car", unit: "×", least: 0.7, most: 1.6, step: 0.05, digits: 2},
+  {id: "planner-period", box: "planner", kind: "planner", name: "period", label: "Period of its trajectories", unit: "s", least: 0.05, most: 1, step: 0.05, digits: 2},
+  {id: "planner-delay", box: "planner", kind: "planner", name: "delay", label: "Delay of its trajectories", unit: "s", least: 0, most: 1, step: 0.05, digits: 2},
+  {id: "planner-noise", box: "planner", kind: "planner", name: "noise", label: "Noise of its points", unit: "m", least: 0, most: 0.2, step: 0.01, digits: 2},
   {id: "belief-dead-time", box: "controller", kind: "belief", name: "dead_time", label: "Dead time that the controller believes", unit: "s", least: 0, most: 0.5, step: 0.01, digits: 2},
   {id: "np", box: "controller", kind: "tuning", name: "Np", label: "Horizon Np", unit: "periods", least: 2, most: 60, step: 1, digits: 0},
   {id: "nc", box: "controller", kind: "tuning", name: "Nc", label: "Moves Nc", unit: "", least: 1, most: 20, step: 1, digits: 0},
@@ -66,6 +69,7 @@ function tuningValue(name, i) {
 
 function valueOf(slider) {
   if (slider.kind === "truth") return trueValue(slider.name);
+  if (slider.kind === "planner") return page.setup.planner?.[slider.name] ?? PLANNER[slider.name];
   if (slider.kind === "belief") return believedValue(slider.name, chosenCar);
   if (slider.kind === "speed_control") return frictionEnds(controllerNow().speed_control?.friction ?? null)[slider.name];
   return tuningValue(slider.name, chosenCar);
@@ -137,16 +141,16 @@ async function send(touch) {
 }
 
 function slide(slider, value) {
-  const {setup} = page, {kind, name} = slider;
-  const carText = setup.controllers.length > 1 && kind !== "truth" ? `, ${chosenCar ? "second" : "first"} car` : "";
-  const message = {text: `${slider.label}${carText}: ${withUnit(slider, value)}`, key: `${slider.id}-${kind === "truth" ? "" : chosenCar}`};
+  const {setup} = page, {kind, name} = slider, isOfAll = kind === "truth" || kind === "planner";
+  const carText = setup.controllers.length > 1 && !isOfAll ? `, ${chosenCar ? "second" : "first"} car` : "";
+  const message = {text: `${slider.label}${carText}: ${withUnit(slider, value)}`, key: `${slider.id}-${isOfAll ? "" : chosenCar}`};
   const path = set(setup, kind, name, value);
   page.setup = copyOf(setup);
   if (kind === "truth") tellTruth(name, value);
   if (kind === "belief") controllerNow().told = false;
   SLIDERS.filter(candidate => candidate.kind === kind).forEach(showSlider);
   byId(`touch-${slider.id}`).setAttribute("aria-valuetext", withUnit(slider, value));
-  send({car: kind === "truth" ? null : chosenCar, what: path, said: message});
+  send({car: isOfAll ? null : chosenCar, what: path, said: message});
   if (kind === "truth") page.setup.controllers.forEach((_, i) => tellController(i, name));
   showTold();
   page.tell("touched", slider, value);
@@ -186,6 +190,10 @@ function set(setup, kind, name, value) {
   if (kind === "truth") {
     setup.truth = {...setup.truth, [name]: value};
     return {truth: {[name]: value}};
+  }
+  if (kind === "planner") {
+    setup.planner = {...setup.planner, [name]: value};
+    return {planner: {[name]: value}};
   }
   const controller = setup.controllers[chosenCar];
   if (kind === "belief") {
@@ -300,8 +308,10 @@ function setUpTouching() {
   byId("pull-left").onclick = () => pull(1);
   byId("pull-right").onclick = () => pull(-1);
   byId("ice").onclick = layIce;
-  page.on("setup", () => { showWho(); showSliders(); });
+  byId("silence").onchange = ({target: {checked}}) => once({planner: {silent: checked}}, checked ? "The planner falls silent" : "The planner sends again");
+  page.on("setup", () => { showWho(); showSliders(); byId("more-planner").hidden = !page.setup.planner; });
   page.on("started", () => {
+    byId("silence").checked = false;
     for (const name of Object.keys(SENSORS)) byId(`sensor-${name}`).checked = true;
     for (const name of Object.keys(TRUE_LINES)) tellTruth(name, trueValue(name), 0);
     showTouches();

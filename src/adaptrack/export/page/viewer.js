@@ -482,6 +482,23 @@ function makeRoadView(canvas, history, clock, options = {}) {
     pen.stroke();
   }
 
+  // A thin line with its points: where the planner wants the car.
+  function drawTrajectory(car, place) {
+    const points = car.trajectory?.(place.index)?.points;
+    if (!points) return;
+    pen.strokeStyle = pen.fillStyle = palette.ink;
+    pen.lineWidth = 1;
+    const line = new Path2D(), dots = new Path2D();
+    for (let i = 0; i < points.length; i += 5) {
+      const [px, py] = toScreen(points[i + 1], points[i + 2]);
+      line.lineTo(px, py);
+      dots.moveTo(px + 2, py);
+      dots.arc(px, py, 2, 0, 2 * Math.PI);
+    }
+    pen.stroke(line);
+    pen.fill(dots);
+  }
+
   // -- the cars
 
   // A rectangle about (x, y) in the car's axes (m), turned by an angle (rad).
@@ -652,6 +669,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
     drawEvents(t);
     if (!previewed && clock.cursor !== null)
       history.cars.forEach((car, k) => drawCar(car, k, placeAt(car, clock.cursor, ghosts[k]), true));
+    history.cars.forEach((car, k) => drawTrajectory(car, places[k]));
     history.cars.forEach((car, k) => drawPredicted(car, k, places[k]));
     history.cars.forEach((car, k) => { if (k !== view.chosen) drawCar(car, k, places[k]); });
     if (followed) drawCar(history.cars[view.chosen], view.chosen, followed);

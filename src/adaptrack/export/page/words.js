@@ -30,6 +30,7 @@ function wordsOfCar(car, i, t) {
   ];
   if (car.columns.grip_used) parts.push(
     `Its plan says ${at("planned_speed").toFixed(1)} m/s, its governor ${at("governed_speed").toFixed(1)} m/s, and it uses ${(100 * at("grip_used")).toFixed(0)} % of the grip that it assumes, with a friction of ${frictionText([at("friction_low"), at("friction_high")])}.`);
+  if (car.columns.driven_by) parts.push(`Behind its planner: ${plannerText(car, t).trim()}.`);
   if (car.columns.belief_lag) parts.push(
     `It believes ${at("belief_lag").toFixed(2)} ± ${(2 * at("belief_lag_sigma")).toFixed(2)} s of lag; true are ${trueValue("lag").toFixed(2)} s.`);
   if (SCHEDULED(page.setup.controllers[i].kind)) parts.push(
