@@ -45,15 +45,14 @@ from operator import or_
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.base.limits import RequestLimit
+from adaptrack.core.maths.portable import Array
 
-Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
 CheckedTarget = TypeVar("CheckedTarget", bound=Callable[..., Any])
 

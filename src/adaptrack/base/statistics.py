@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Array
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
 BOOTSTRAP_RESAMPLES, BOOTSTRAP_SEED = 2000, 0x9160
 """Number of bootstrap resamples, and the seed of their random numbers."""

@@ -11,8 +11,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Array, Positive, checked, reals
+from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
 
 @checked

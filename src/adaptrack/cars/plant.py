@@ -21,12 +21,13 @@ from typing import Annotated, Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Array, Bound, Count, Positive, checked, real, reals
+from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_STEPS, check_limit
 from adaptrack.base.registry import Contract, PluginCall, Registry, compile_function
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models.car import POWERTRAIN
 from adaptrack.core.plants import dual_track, single_track

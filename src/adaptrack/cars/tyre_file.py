@@ -25,12 +25,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Array, checked
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, did_you_mean
 from adaptrack.base.files import finite_number, printable, read_bytes
 from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
 TYRE_FILE_UNITS = {
     "LENGTH": {"meter": 1.0, "m": 1.0, "mm": 1e-3, "millimeter": 1e-3, "cm": 0.01, "centimeter": 0.01, "km": 1e3,

@@ -17,12 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Array, checked
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import finite_number, printable, read_bytes, table_lines
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow
 from adaptrack.core.synthesis import plant as kernel
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, Self, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Count, Finite, Natural, NotNegative, Positive, checked, real, reals
 from adaptrack.base.errors import InvalidInput
@@ -26,13 +26,11 @@ from adaptrack.control.models import PredictionModel
 from adaptrack.core.estimators import friction_wind
 from adaptrack.core.estimators.extended_kalman import compile_estimator
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.simulation.run import VariableEstimator
 from adaptrack.core.synthesis.plant import lateral_rate
 from adaptrack.scenario.profile import Profile, load_profile
-
-Array = NDArray[np.float64]
 
 NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0] * 4)
 """`core.models.contract.MEASUREMENT` without a sample, on a path that does not turn, with an unknown friction."""

@@ -7,7 +7,6 @@ from enum import StrEnum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
@@ -15,6 +14,7 @@ from adaptrack.control.controllers import Controller
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.kernel import OK, fields_of
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.planned import condition, records
 from adaptrack.core.planned.clock import VERDICT
 from adaptrack.core.planned.meant_line import FAR_PLACES
@@ -26,8 +26,6 @@ from adaptrack.road.axle_path import Axle
 from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.road.table import Pieces
-
-Array = NDArray[np.float64]
 
 
 class Verdict(StrEnum):

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
@@ -17,10 +16,9 @@ from adaptrack.control.models import MEASURED_STATES, PathModel, PredictionModel
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.estimators.kalman import FilterParameters, kalman, memory_of, move_path
 from adaptrack.core.kernel import row_of
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.synthesis import filter as kernel
 from adaptrack.scenario.profile import Profile
-
-Array = NDArray[np.float64]
 
 SENSORS = (*MEASURED_STATES, "lateral_acceleration")
 """What the filter takes in."""

@@ -17,13 +17,11 @@ from adaptrack.base.registry import Contract, Registry, compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.kernel import size_of
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.car import SingleTrackCar
 from adaptrack.core.models.contract import MEASUREMENT, compile_model
-
-Array = NDArray[np.float64]
 
 MEASURED_STATES = MEASUREMENT._fields[: MEASUREMENT.lateral_acceleration]
 """What is measured, and what a model's states may be: m/s, rad, rad/s, m, rad."""

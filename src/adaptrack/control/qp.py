@@ -22,14 +22,12 @@ from adaptrack.base.checked import Count, NotNegative, checked, reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.core.layout import aligned
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.maths.vectors import padded
 from adaptrack.core.qp import problem as kernels
 from adaptrack.core.qp.active_set import active_set
 from adaptrack.core.qp.factor import factorise
 from adaptrack.core.qp.hildreth import hildreth
-
-Array = npt.NDArray[np.float64]
 
 SYMMETRY = 1e-9
 """E may differ from its transpose by this part of its largest entry; the symmetric part is kept."""

@@ -19,7 +19,7 @@ from enum import StrEnum
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
@@ -38,6 +38,7 @@ from adaptrack.core.controllers.part import APPLY, REQUEST, STEP
 from adaptrack.core.kernel import Resident, address_of, direct, fields_of
 from adaptrack.core.layout import empty
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.member import CallBack
 from adaptrack.core.planned.clock import MAX_STAMP_LEAD
 from adaptrack.core.planned.records import FALLBACK, PLANNER, Planned
@@ -51,7 +52,6 @@ from adaptrack.road import Road, SpeedPlan, Stop
 from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.road_ahead import RoadAhead, pack_roads, stacked
 
-Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
 
 AT_STOP = 0.25

@@ -8,7 +8,8 @@ writing a kernel       `inlined`, `exported`, `Caller`, `address_of`, `member`, 
                        `void`, `several`, ...); records (`record`, `columns`, `rows`, `unpacker`, `packer`, `viewer`,
                        `size_of`, `Place`, `Resident`); `local`, `shaped`, `fma`. See `core.kernel` for the rules
 functions              the same bits on every processor: `exp`, `log`, `sin`, `atan2`, `hypot`, ...; of nine digits and
-                       quicker in loops: `fast_sine`, `fast_cosine`, `fast_arctangent`, ...; `portable`: of arrays
+                       quicker in loops: `fast_sine`, `fast_cosine`, `fast_arctangent`, ...; `portable`: of arrays,
+                       whose type is `Array`
 a controller           its call (`LAW_SIGNATURE`, `COMMON_PARAMETERS`, `read_situation`) and what must hold (`limited`,
                        `all_finite`), see `core.controllers.contract`
 the path ahead         `path_at`, `path_ahead`, `planned_speed`, `wrapped`, `Direction`; the linear model in path
@@ -73,6 +74,7 @@ from .maths.bits import whole
 from .maths.exact import ceil, clip, floor, fmod, sqrt, square
 from .maths.exponential import exp, hypot, log
 from .maths.fast import fast_arctangent, fast_arctangent_of_ratio, fast_cosine, fast_sine
+from .maths.portable import Array
 from .maths.random import counted_normal, counted_uniform
 from .maths.random import output as random_bits
 from .maths.random import unit as random_unit

@@ -19,6 +19,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import CompiledScheduler, Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.core.kernel import Resident
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.member import compiles
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
 from adaptrack.core.scheduling import guard as guard_kernel
@@ -29,7 +30,6 @@ from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
-Array = NDArray[np.float64]
 BatchPlant = Annotated[Plant, Hint("simulate(...) drives a SteppedPlant")]
 
 

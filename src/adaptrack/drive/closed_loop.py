@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
@@ -25,6 +24,7 @@ from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedCon
 from adaptrack.core.controllers.part import COMMON_ANSWER, STEP
 from adaptrack.core.kernel import Resident, Signature, address_of
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.member import CallBack
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, user
@@ -36,8 +36,6 @@ from adaptrack.drive.failure import failure_of
 from adaptrack.drive.world import Driver, RequestedForces, SpeedDriver, SpeedFollower, World, warn_once
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
-
-Array = NDArray[np.float64]
 
 LONGEST_SPEEDS_AHEAD = 120
 """Number of control instants for which a controller receives the speed ahead that the speed control allows."""

@@ -21,12 +21,11 @@ from adaptrack.base.presentation import html_of
 from adaptrack.cars.outline import Outline
 from adaptrack.control.controllers.learned_car import BeliefState, bounded_quantity
 from adaptrack.control.models import PredictionModel
+from adaptrack.core.maths.portable import Array
 from adaptrack.drive import signal_statistics as statistics
 from adaptrack.drive.failure import MIN_JUDGED_SPEED, FailureLimits, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error
 from adaptrack.drive.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 LANE_WIDTH = 3.5
 """Default lane width (m), for the share of time in the lane."""

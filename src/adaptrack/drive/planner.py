@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
@@ -21,6 +20,7 @@ from adaptrack.control.following import Following
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE, sample_of
 from adaptrack.road import SpeedPlan
@@ -28,7 +28,6 @@ from adaptrack.road.planned_trajectory import PlannedTrajectory
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, Scenario
 
-Array = NDArray[np.float64]
 Arrivals = Sequence[tuple[PlannedTrajectory, PlannedTrajectory | None]]
 """Trajectories that arrive at a control instant, each with its fallback or None, in their order."""
 BACKWARD_LENGTH = 5.0

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import Positive, checked
+from adaptrack.core.maths.portable import Array
 from adaptrack.road.road_ahead import RoadAhead
-
-Array = NDArray[np.float64]
 
 
 class PredictedPaths:

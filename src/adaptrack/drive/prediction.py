@@ -6,17 +6,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.models import MEASURED_STATES, PredictionModel
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.signal_statistics import finite_length, mean_square
 from adaptrack.drive.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 TIMES = (0.5, 1.0)
 """Default prediction times (s)."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.maths import portable
-
-Array = NDArray[np.float64]
+from adaptrack.core.maths.portable import Array
 
 REVERSAL_GAP, REVERSAL_CUT_OFF, REVERSAL_ORDER = math.radians(3.0), 0.6, 2
 """Steering reversals: smallest steering-wheel movement (rad), cut-off (Hz) and order of the low-pass filter."""

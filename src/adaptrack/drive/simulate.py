@@ -24,6 +24,7 @@ from adaptrack.control.controllers.base import CalledController, Command
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.controllers.part import COMMON_ANSWER
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
@@ -35,7 +36,6 @@ from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, 
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
-Array = NDArray[np.float64]
 PROGRESS_PERIODS = 64
 """Control periods between two reports of progress."""
 

@@ -13,7 +13,6 @@ from functools import cache
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput, format_value
@@ -22,6 +21,7 @@ from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuato
 from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.models.contract import SENSOR_FIELDS
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.simulation import run as run_kernel
@@ -33,7 +33,6 @@ from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile, load_profile
 
-Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
 PerceptionSource = Perception | FrictionWindEstimator | None
 """Friction and wind that a scheduler receives: true values (None), values with errors, or estimates."""

@@ -14,12 +14,12 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.tracker.signals import MEASURED, TRACKED
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.failure import find_failure
@@ -31,7 +31,6 @@ from adaptrack.road.speed import constant_speed
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import Profile
 
-Array = NDArray[np.float64]
 RECORDED_SPACING = 5.0
 """m, between the points of the path: what a planner would send."""
 RECORDED_LOOKAHEAD = 10.0

@@ -15,13 +15,14 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Array, reals, whole_number
+from adaptrack.base.checked import reals, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.core import public as core
+from adaptrack.core.public import Array
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.failure import failure_of

@@ -10,10 +10,11 @@ from typing import Any, cast
 import numpy as np
 from gymnasium import spaces
 
-from adaptrack.base.checked import Array, reals, whole_number
+from adaptrack.base.checked import reals, whole_number
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Controller, get_controller
 from adaptrack.core import public as core
+from adaptrack.core.public import Array
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.gym.environment import BELIEF_STATE, CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box, is_over

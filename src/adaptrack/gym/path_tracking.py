@@ -10,12 +10,13 @@ from typing import Annotated, Any
 import numpy as np
 from gymnasium import spaces
 
-from adaptrack.base.checked import Array, NotNegative, checked, reals
+from adaptrack.base.checked import NotNegative, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.setup import world_and_belief
 from adaptrack.core import public as core
+from adaptrack.core.public import Array
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import RequestedForces
 from adaptrack.gym.environment import CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box

@@ -19,9 +19,9 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.road.fit import road_through, smooth_road
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Array
 from adaptrack.road.speed import SpeedPlan
 from adaptrack.road.station_table import ALONG_QUANTITIES, Along
 

@@ -14,9 +14,9 @@ from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Array
 from adaptrack.road.speed import STRAIGHT_CURVATURE, SpeedPlan, cornering_limit, steering_limit, unlimited
 
 CHECK_SPACING = 0.5

@@ -19,10 +19,10 @@ import numpy as np
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.roads.path import MIN_PATH_POINTS
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Array
 from adaptrack.road.station_table import NO_LIMIT
 
 

@@ -25,13 +25,13 @@ from adaptrack.base.checked import NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import OK
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.roads import noise as path_noise
 from adaptrack.core.roads import path
 from adaptrack.core.roads.path import MIN_PATH_POINTS, WIDEST
 from adaptrack.core.roads.road import CLOSED, LENGTH, MOST_CURVATURE, project_all
 from adaptrack.road.road import Road
-from adaptrack.road.segments import MAX_COORDINATE, Array, Cubic, Pose
+from adaptrack.road.segments import MAX_COORDINATE, Cubic, Pose
 from adaptrack.road.smoothing import LENGTHS, Smoother, grade_of_heights
 from adaptrack.road.station_table import ALONG_QUANTITIES, alongs
 from adaptrack.road.table import Pieces, cubic_line, placed

@@ -21,8 +21,9 @@ import numpy as np
 from adaptrack.base.checked import Finite, Natural, checked, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, heading_integral
+from adaptrack.road.segments import Arc, Clothoid, Line, Pose, heading_integral
 
 Element = Line | Arc | Clothoid
 

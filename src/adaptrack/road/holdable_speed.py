@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 
 from adaptrack.base.files import LISTED, Record
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.road.segments import Array
 
 _Axis = Annotated[tuple[float, ...], LISTED, Field(min_length=2)]
 BEND_SPEEDS = 96

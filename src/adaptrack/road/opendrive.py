@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import finite_number, printable, read_bytes
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.roads.road import X, Y
 from adaptrack.road.opendrive_lanes import MAX_CLOSED_GAP, Lanes, Stations, line_at_offset, number_of
 from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
-from adaptrack.road.segments import MIN_ELEMENT_LENGTH, NODES, WEIGHTS, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
+from adaptrack.road.segments import MIN_ELEMENT_LENGTH, NODES, WEIGHTS, Arc, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.station_table import Along, alongs
 from adaptrack.road.table import Pieces, joined, placed, tabulate
 

@@ -19,8 +19,8 @@ import numpy as np
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import finite_number, printable
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.roads.road import HALF_LENGTH
-from adaptrack.road.segments import Array
 from adaptrack.road.station_table import NO_LIMIT, Along
 from adaptrack.road.table import Pieces, cubic_line, points_on_pieces
 

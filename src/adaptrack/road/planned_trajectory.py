@@ -15,10 +15,10 @@ from adaptrack.base.checked import Finite, Positive, checked, reals
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import finite_number, printable, read_bytes, table_lines
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.planned import condition as kernel
 from adaptrack.core.planned.records import NODE, POINT
 from adaptrack.road.points import POINT_COLUMNS, bracketed_unit, plain_title, split_cells, split_header
-from adaptrack.road.segments import Array
 
 PLANNED_COLUMNS = {
     "t": (("s",), ("t", "time", "t_s", "time_s", "time_from_start", "timestamp")),

@@ -15,10 +15,10 @@ from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import NumberedLines, finite_number, is_number, printable, read_bytes, table_lines
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.roads.path import MIN_PATH_POINTS
 from adaptrack.road.fit import SPARSE, fit_road
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Array
 
 POINT_COLUMNS = {
     "x": ("x", "x_m", "pos_x", "x_ref_m", "wp_x", "waypoint_x", "pose_x", "position_x", "position.x", "utm_x",

@@ -16,10 +16,11 @@ from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE, ROAD_LENGTH, check_limit
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.planning import station_table as along_kernel
 from adaptrack.core.roads import road as kernel
 from adaptrack.core.roads.road import X, Y
-from adaptrack.road.segments import MAX_COORDINATE, Array, Points, Pose, Segment
+from adaptrack.road.segments import MAX_COORDINATE, Points, Pose, Segment
 from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.table import Pieces, sequence, tabulate
 

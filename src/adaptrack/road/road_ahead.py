@@ -12,10 +12,10 @@ import numpy as np
 
 from adaptrack.base.checked import real, reals
 from adaptrack.base.errors import InvalidInput, format_value
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.roads import road as kernel
 from adaptrack.core.roads.path import cells_of
 from adaptrack.road.road import Projection, Road
-from adaptrack.road.segments import Array
 
 
 def pack_roads(roads: Sequence[Road | None]) -> Any:

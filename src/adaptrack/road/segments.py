@@ -15,9 +15,8 @@ from pydantic import Field, model_validator
 
 from adaptrack.base.files import Record
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 
-Array = NDArray[np.float64]
 MIN_ELEMENT_LENGTH, MAX_ELEMENT_LENGTH = 1e-15, 1e6
 """m, of one element."""
 Length = Annotated[float, Field(ge=MIN_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH, description="m, along the centre line")]

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
-from adaptrack.road.segments import Array
+from adaptrack.core.maths.portable import Array, product
 
 KNOTS = 10.0
 """In a smoothing length, at most."""

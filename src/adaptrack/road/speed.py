@@ -23,6 +23,7 @@ from adaptrack.base.files import Record
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.vehicle import Domain, SteeringActuator, Vehicle, load_tyre, pack_plant
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.planning import cornering as cornering_kernel
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
@@ -30,7 +31,6 @@ from adaptrack.core.planning.speed import STRAIGHT_CURVATURE as STRAIGHT_CURVATU
 from adaptrack.core.speed import plan as plan_kernel
 from adaptrack.road.holdable_speed import HoldableSpeed, highest
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Array
 
 PLAN_SPACING = 1.0
 """m, between the places at which the speed is planned, by default."""

@@ -12,8 +12,8 @@ from pydantic import model_validator
 from adaptrack.base.checked import real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.base.files import Record
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.planning import station_table as kernel
-from adaptrack.road.segments import Array
 
 
 class Along(Record):

@@ -18,11 +18,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import TURNS, check_limit
 from adaptrack.core.kernel import OK
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.roads import road as kernel
 from adaptrack.core.roads.path import TOO_SMALL, TURN, line_numbers, write_cubics
 from adaptrack.core.roads.road import COS, HALF_LENGTH, HEADING, PIECE_COLUMNS, POLYNOMIAL_DEGREE, SIN, X, Y
-from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
+from adaptrack.road.segments import Arc, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
 ALONG_POLYNOMIAL = slice(kernel.ALONG_COEFFICIENTS, kernel.ACROSS_COEFFICIENTS)
 ACROSS_POLYNOMIAL = slice(kernel.ACROSS_COEFFICIENTS, kernel.TURN_COEFFICIENTS)

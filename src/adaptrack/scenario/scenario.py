@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base import files
-from adaptrack.base.checked import Array, Positive, checked, reals
+from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import Record, as_tuples, build
 from adaptrack.base.limits import DURATION, PERIODS, check_limit
+from adaptrack.core.maths.portable import Array
 from adaptrack.scenario import shapes
 from adaptrack.scenario.shapes import Constant, Knots, Method, Patch, Shape, Signal, Wind
 from adaptrack.scenario.signals import Signals, instants

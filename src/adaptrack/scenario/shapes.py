@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.base.checked import Array, real
+from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, Record, build
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 
 HIGHEST_FRICTION = 3.0
 """Largest accepted friction coefficient. Racing tyres stay below 2; larger inputs are usually percentages."""

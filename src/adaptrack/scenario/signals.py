@@ -7,9 +7,10 @@ from typing import Annotated
 
 import numpy as np
 
-from adaptrack.base.checked import Array, Positive, checked, reals
+from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE, MAX_SPEED
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.planning.drive import bank_pull, drive_instants
 from adaptrack.scenario.shapes import HIGHEST_FRICTION
 

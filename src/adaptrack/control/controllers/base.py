@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Positive, checked, real
 from adaptrack.base.errors import InvalidInput
@@ -23,11 +23,11 @@ from adaptrack.core.controllers.law import law_controller, step_law
 from adaptrack.core.controllers.part import COMMON_ANSWER, controller_part
 from adaptrack.core.estimators.learning import BELIEF_NAMES
 from adaptrack.core.kernel import Resident, row_of
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.member import CallBack
 from adaptrack.core.synthesis import laws
 from adaptrack.road.road_ahead import RoadAhead, stacked
 
-Array = NDArray[np.float64]
 _NO_SPEEDS = np.zeros(0)
 
 

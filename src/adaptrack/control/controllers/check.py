@@ -11,8 +11,9 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import Contract
-from adaptrack.control.controllers.base import Array, Controller, command_of, step_call
+from adaptrack.control.controllers.base import Controller, command_of, step_call
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.road import Arc, Line, Road
 from adaptrack.road.road_ahead import RoadAhead
 

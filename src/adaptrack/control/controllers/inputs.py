@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from adaptrack.base.checked import FLOAT, Array, reals
+from adaptrack.base.checked import FLOAT, reals
 from adaptrack.base.errors import InvalidInput, format_value
+from adaptrack.core.maths.portable import Array
 from adaptrack.road.road_ahead import RoadAhead
 
 MOST_WHEEL_ANGLE, MOST_CHANGE = 0.5 * np.pi, 1e3

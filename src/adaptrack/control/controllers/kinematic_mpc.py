@@ -11,10 +11,11 @@ from pydantic import Field
 from adaptrack.base.checked import Count, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
-from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import ComputationArgument, PeriodArgument, world_and_belief
 from adaptrack.core.controllers import kinematic_mpc as kernel
+from adaptrack.core.maths.portable import Array
 from adaptrack.scenario.profile import Profile
 
 AUTOWARE_WEIGHTS = {

@@ -12,12 +12,13 @@ from adaptrack.base.checked import Finite, Hint, Natural, NotNegative, Number, P
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import compile_function
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
-from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import lqr, pure_pursuit, stanley
 from adaptrack.core.controllers.contract import compile_law
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models.car import SteeringRow
 from adaptrack.core.synthesis import laws

@@ -7,7 +7,6 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import Hint
@@ -22,10 +21,9 @@ from adaptrack.core.estimators.learning_method import LearningMethod
 from adaptrack.core.kernel import Field as KernelField
 from adaptrack.core.kernel import fields_of
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.models.car import LEARNED_CAR
 from adaptrack.core.synthesis import learner as synthesis
-
-Array = NDArray[np.float64]
 
 STEERING_QUANTITIES = tuple(name for name in kernel.LEARNED._fields if name in SteeringActuator.model_fields)
 """Learned quantities of the steering, as in `SteeringActuator`: lag, dead time and bias."""

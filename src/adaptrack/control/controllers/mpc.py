@@ -18,7 +18,7 @@ from math import isfinite
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Count, Finite, Hint, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
@@ -42,14 +42,13 @@ from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller
 from adaptrack.core.controllers.receding import apply_move, predict_outputs, predict_path
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
 from adaptrack.core.kernel import Resident, direct
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.scheduling.functions import VARIABLE_NAMES
 from adaptrack.core.scheduling.guard import COUNTS
 from adaptrack.core.scheduling.schedule import schedule
 from adaptrack.road.road_ahead import RoadAhead, stacked
 from adaptrack.scenario.profile import Profile, load_profile
-
-Array = NDArray[np.float64]
 
 _STATUSES = {float(status): status for status in QPStatus}
 _AT_LIMIT = {float(sum_of): sum_of for sum_of in range(8)}

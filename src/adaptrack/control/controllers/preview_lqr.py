@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
-from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, CompiledController, TuningBounds
 from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, WEIGHTS_TOO_FAR_APART
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import ComputationArgument, PeriodArgument, world_and_belief
 from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import preview_lqr as kernel
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.synthesis import laws
 from adaptrack.scenario.profile import Profile
 

@@ -8,7 +8,6 @@ from dataclasses import astuple
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import Count, real
 from adaptrack.base.errors import InvalidInput
@@ -16,8 +15,7 @@ from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.control.controllers.base import Policy
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.controllers.mpc import MPCTuning
-
-Array = NDArray[np.float64]
+from adaptrack.core.maths.portable import Array
 
 ENTRIES = MPCTuning._fields
 """The MPC's named tuning entries."""

@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import Finite, checked, real
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.core.maths import portable
-from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.portable import Array, product
 from adaptrack.core.scheduling import functions as kernel
 from adaptrack.core.scheduling.functions import MAX_DISTANCE_WIDTHS
 
-Array = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 ANY = -1

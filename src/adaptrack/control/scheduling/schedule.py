@@ -37,13 +37,12 @@ from adaptrack.control.scheduling.functions import Function, Number, Pool, Table
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
 from adaptrack.core.library import kernels_hash
 from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.core.scheduling import schedule as kernel
 from adaptrack.core.scheduling.functions import VARIABLE_NAMES
 from adaptrack.scenario.profile import load_profile
-
-Array = NDArray[np.float64]
 
 ENTRY_BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
 """Bounds of the entries of the MPC, where no others are given."""

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers.inputs import vector
+from adaptrack.core.maths.portable import Array
 from adaptrack.core.planning.drive import LOOK_AHEAD as LOOK_AHEAD
 from adaptrack.core.planning.drive import reference_ahead
-
-Array = NDArray[np.float64]
 
 
 class Variable(NamedTuple):
