@@ -32,6 +32,7 @@ from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.control.following import Following
 from adaptrack.control.kalman import Drifts
 from adaptrack.core.planned.records import POINT
+from adaptrack.core.planned.timing import LIMIT_TIME, LIMIT_WAY
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.drive.planner import Arrivals, PlannedController, SimulatedPlanner, arrival_times
 from adaptrack.road import Arc, Comfort, Line, Road, SpeedPlan, plan_speed
@@ -58,8 +59,8 @@ STEERING_BIAS = 0.02  # rad
 SWERVE, SWERVE_SECONDS = 1.0, 1.5  # m, s
 LEAST_OFFSET, OFFSET_SECONDS, DETECTION = 0.15, 3.0, 5.0
 """m, s: a true offset from the line that was meant that is to be reported; s, within which."""
-REST = 0.05
-"""m/s, below which a car stands."""
+REST, ARRIVED = 0.05, 0.05
+"""m/s, below which a car stands; m, before the place where it ends, from which it has arrived."""
 
 
 # -- cars and roads ---------------------------------------------------------------------------------------------------
@@ -329,9 +330,10 @@ class Driven(NamedTuple):
 
     @property
     def late(self) -> float:
-        """s, by which the car is late at the end."""
-        last = np.flatnonzero(np.isfinite(self.run.road["station"]))[-1]
-        return float(self.run.t[last] - arrival_times(self.drive.plan, self.run.road["station"][[last]])[0])
+        """s, by which the car is late where it ends; a car that stands there has arrived before."""
+        station = self.run.road["station"]
+        end = np.flatnonzero(station >= np.nanmax(station) - ARRIVED)[0]
+        return float(self.run.t[end] - arrival_times(self.drive.plan, station[[end]])[0])
 
 
 def drive(
@@ -423,6 +425,14 @@ def condition_begins(driven: Driven) -> float:
     return math.inf
 
 
+def excess(driven: Driven, limit: float | None) -> float:
+    """Largest speed (m/s) beyond a limit (m/s); None: the largest planned speed near the place, as for a tracker."""
+    s, plan = driven.run.road["station"], driven.drive.plan
+    way = np.maximum(LIMIT_TIME * plan.at(s), LIMIT_WAY)
+    near = np.max([plan.at(s + share * way) for share in np.linspace(-1.0, 1.0, 101)], axis=0)
+    return float(np.nanmax(driven.run.vx - (near if limit is None else limit)))
+
+
 def behind(limit: float | None) -> Callable[[Group, int, str], dict[str, float]]:
     """A planner that is 2 s ahead at the start: lateness at the end, and the speed beyond what may be driven.
 
@@ -433,11 +443,10 @@ def behind(limit: float | None) -> Callable[[Group, int, str], dict[str, float]]
         road_drive, following = winding(seed), Following(speed_limit=limit)
         planner = Changed(SimulatedPlanner(seed=seed), ahead_of_car)
         driven = drive(group, road_drive, planner, seed, tracker, following=following)
-        s, v = driven.run.road["station"], driven.run.vx
-        near = np.max([road_drive.plan.at(s + way) for way in np.linspace(-10.0, 10.0, 9)], axis=0)
-        row = compare(driven, fixed(group, road_drive, seed))
-        beyond = float(np.nanmax(v - (near if limit is None else limit)))
-        return row | {"late": row["late"] + BEHIND_CLOCK, "too fast": beyond}
+        reference = fixed(group, road_drive, seed)
+        row = compare(driven, reference)
+        row["late"] += BEHIND_CLOCK
+        return row | {"too fast": excess(driven, limit), "fixed too fast": excess(reference, limit)}
 
     return measure
 

@@ -13,6 +13,7 @@ from adaptrack import SpeedControl, load_vehicle
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.control.speed_control import SpeedController
 from adaptrack.core.planned.timing import keep_time, place_at, time_at
+from adaptrack.core.speed.speed_control import slope_of
 from adaptrack.road import Comfort, Line, Road
 from planned_speeds import planned, speeds_of
 from point_mass import PERIOD, PointMass
@@ -32,24 +33,27 @@ class Drive:
 
     def __init__(
         self, speeds: Any, seconds: float, *, speed: float | None = None, start: float = 0.0, place: float = 0.0,
-        control: SpeedControl | None = None, is_timed: bool = True, **settings: float,
+        control: SpeedControl | None = None, is_timed: bool = True, grade: float = 0.0,
+        replans: dict[float, Any] | None = None, **settings: float,
     ) -> None:  # fmt: skip
         rests = [s for s, arrive, leave in list(zip(*speeds[:1], *speeds[2:], strict=True))[1:-1] if leave > arrive]
         plan = SimpleNamespace(s=speeds.s, speed=speeds.speed, stops=[(s, math.inf) for s in rests], comfort=COMFORT)
         control = control or SpeedControl(CAR, drive=DRIVE, brakes=BRAKES)
-        road = Road.from_segments([Line(length=float(speeds.s[-1]))])
+        road = Road.from_segments([Line(length=float(speeds.s[-1]))], grade=grade)
         controller, planner = (
             SpeedController(control, road, plan, PERIOD, stop_at_end=True),
             planned(speeds, **settings),
         )
-        car = PointMass(float(speeds.speed[0]) if speed is None else speed, CAR.mass, DRIVE, BRAKES)
+        car = PointMass(float(speeds.speed[0]) if speed is None else speed, CAR.mass, DRIVE, BRAKES, slope_of(grade))
         car.s, rows, self.requests = place, [], []
         sample, memory, state = controller.record.sample[0], controller.record.memory[0], planner.memory[0]
         for k in range(round(seconds / PERIOD)):
             time = start + k * PERIOD
+            planner = planner._replace(speeds=(replans or {}).get(time, planner.speeds))
             keep_time(time, car.s, car.v, planner)
             if is_timed:
                 sample.is_timed, sample.correction, sample.correction_limit = 1.0, state.correction, state.top_speed
+                sample.rest_time = state.rest_time
                 memory.is_released = max(memory.is_released, state.is_leaving)
             self.requests.append(controller.step(car.s, car.v, 0.0))
             rows.append((time, car.s, car.v, state.late, state.correction, self.requests[-1].acceleration))
@@ -99,6 +103,31 @@ def test_a_car_arrives_and_leaves_by_the_time_and_recovers_the_time_of_its_start
     assert drive.place[-1] == pytest.approx(170.0, abs=0.1)
 
 
+@pytest.mark.parametrize("grade", [-0.08, 0.0, 0.08])
+@pytest.mark.parametrize("control", [None, SpeedControl(CAR)])
+def test_a_car_leaves_a_rest_within_half_a_second_of_its_time_and_never_before(grade, control) -> None:
+    drive = Drive(STOP_AND_GO, 14.0, grade=grade, control=control)
+    rests = (drive.time > 9.5) & (drive.time <= 11.0)
+    assert np.ptp(drive.place[rests]) == 0.0
+    assert 11.0 < drive.time[(drive.time > 9.5) & (drive.speed > 0.02)][0] < 11.5
+
+
+@pytest.mark.parametrize("grade", [-0.08, 0.0, 0.08])
+def test_a_car_whose_trajectory_begins_with_a_rest_waits_for_its_time(grade: float) -> None:
+    drive = Drive(speeds_of([(3.0, None), (5.0, 1.0), (5.0, -1.0)], 0.0), 6.0, grade=grade)
+    assert np.ptp(drive.place[(drive.time > 0.5) & (drive.time <= 3.0)]) == 0.0  # its brakes hold from then on
+    assert np.abs(drive.place[drive.time <= 3.0]).max() < 0.05
+    assert 3.0 < drive.time[(drive.time > 0.5) & (drive.speed > 0.02)][0] < 3.5
+
+
+def test_a_car_whose_rest_is_prolonged_while_its_drive_pushes_stays() -> None:
+    first, later = (speeds_of([(3.0, None), (5.0, 1.0), (5.0, -1.0)], 0.0, start=begin) for begin in (0.0, 2.0))
+    drive = Drive(first, 6.0, replans={2.5: later})
+    assert drive.requests[49].force > 0.0
+    assert np.ptp(drive.place[drive.time <= 5.0]) == 0.0
+    assert drive.speed[-1] > 0.1
+
+
 def test_a_car_that_stands_five_centimetres_short_of_a_rest_leaves_it_and_arrives_at_the_end() -> None:
     drive = Drive(STOP_AND_GO, 32.0, speed=0.0, place=44.95, start=8.0)
     assert drive.place[drive.time < 11.0].max() < 45.1
@@ -145,3 +174,11 @@ def test_a_trajectory_that_hesitates_is_followed_without_a_stop() -> None:
     drive = Drive(speeds, 14.0)
     assert 0.25 < drive.speed.min() < 0.5
     assert {str(request.state) for request in drive.requests} == {"driving"}
+
+
+@pytest.mark.parametrize("late", [-1.0, 0.0, 1.0])
+def test_a_car_recovers_the_time_of_a_trajectory_that_creeps_while_it_creeps(late: float) -> None:
+    speeds = speeds_of([(2.0, 0.0), (4.85, -2.0), (12.0, 0.0), (4.85, 2.0), (5.0, 0.0)], 10.0)
+    drive = Drive(speeds, 24.0, start=late)
+    assert drive.speed[drive.time > 8.0].min() > 0.25
+    assert abs(drive.late[np.argmax(drive.time > 20.0)]) < 0.15

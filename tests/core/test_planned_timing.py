@@ -118,6 +118,13 @@ def test_lateness_is_the_shift_of_the_times_and_beyond_three_seconds_leaves_no_d
     assert (m.late, m.debt, m.correction) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("gap", [-0.15, 0.15])
+def test_a_creeping_car_is_corrected_beyond_a_tenth_of_a_second(gap):
+    creep = speeds_of([(100.0, 0.0)], 0.3)
+    _, places, _, _, _ = drive(planned(creep, speed_limit=1.0), 15.0 - gap, 20.0, start=50.0)
+    assert abs(places[-1] - place_at(70.0 - PERIOD, creep)[0]) == pytest.approx(0.03, abs=0.005)
+
+
 def test_without_a_gain_lateness_is_reported_and_not_made_up_for():
     m = memory_after(planned(CRUISE, catch_up=0.0, speed_limit=12.0), 22.0, 200.0)
     assert (m.late, m.correction) == (pytest.approx(2.0), 0.0)
@@ -129,6 +136,7 @@ def test_a_car_that_stands_just_short_of_a_place_of_rest_has_arrived_and_leaves_
     for time, is_leaving in ((13.5, 0), (15.99, 0), (16.0, 1)):
         m = memory_after(planned(STOP_AND_GO), time, 40.0 - short)
         assert (m.late, m.is_leaving) == (0.0, is_leaving)
+        assert m.rest_time == pytest.approx(16.0 - time)
         assert m.correction == pytest.approx(0.0, abs=1e-12)
     assert m.target_speed > 0.3
 
@@ -149,6 +157,12 @@ def test_a_late_car_is_not_pulled_beyond_a_place_of_rest_and_waits_there_for_the
         assert places[times < 16.0][-1] > 39.9
     assert lateness[-1] - debt[-1] < 0.1
     assert debt[-1] <= max(late - MAX_CATCH_UP, 0.0)
+
+
+def test_the_time_up_to_a_departure_is_zero_without_a_rest_and_infinite_at_an_end_at_rest():
+    assert memory_after(planned(STOP_AND_GO), 12.0, 37.0).rest_time == 0.0
+    assert memory_after(planned(STOP_AND_GO), 20.0, 45.0).rest_time == 0.0
+    assert memory_after(planned(AT_ONCE), 5.0, 18.75).rest_time == math.inf
 
 
 def test_a_rest_takes_up_lateness():
@@ -204,7 +218,11 @@ def test_the_speed_control_keeps_the_time_of_a_planner_and_its_fallback_and_stop
     assert sample.is_timed == is_followed
     assert sample.correction == pytest.approx(1.5 if is_followed else 0.0)
     assert sample.correction_limit == 12.0
+    assert sample.rest_time == 0.0
     assert memory.is_released == 0
+    keep_time(15.5, 40.0, 0.0, planner)
+    longitudinal._keep_planned_time(planner, sample, memory)
+    assert (sample.rest_time, memory.is_released) == (0.5 if is_followed else 0.0, 0)
     keep_time(16.5, 40.0, 0.0, planner)
     longitudinal._keep_planned_time(planner, sample, memory)
     assert memory.is_released == is_followed

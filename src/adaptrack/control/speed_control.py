@@ -431,7 +431,7 @@ class SpeedController:
         last = sample[0]
         sample[0] = (
             station, 0.0, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, last.top_speed, blind_time, grade,
-            1.0, last.is_timed, last.correction, last.correction_limit,
+            1.0, last.is_timed, last.correction, last.correction_limit, last.rest_time,
         )  # fmt: skip
         tracked_kernel.speed_control_step(self._resident)
         return self.command

@@ -56,6 +56,7 @@ PLANNED_MEMORY = record(
         "target_speed",  # m/s, planned one period ahead, corrected; NaN: unknown place
         "debt",  # s, lateness that is accepted: the times of the trajectory count so much later
         "is_leaving",  # 1: the time to leave the present place of rest has come
+        "rest_time",  # s, until then; 0: the trajectory does not rest here; infinite at its end
         # clock of the planner:
         "clock_offset",  # s, tracker's clock minus planner's, estimated from arrivals; NaN: that of the settings
         "stamp",  # s, of the last trajectory, on the planner's clock

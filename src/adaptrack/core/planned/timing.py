@@ -16,8 +16,9 @@ from ..speed.plan import last_at, speed_between
 from ..speed.stops import OVERSHOOT, STOP_TOLERANCE
 from .records import STOP, Planned, PlannedSpeeds
 
-DEAD_ZONE = 0.2
-"""m, largest distance between the car and its planned place that is not corrected."""
+DEAD_ZONE, DEAD_ZONE_TIME = 0.2, 0.1
+"""m, s: largest distance between the car and its planned place that is not corrected; while the trajectory moves, at
+most the way in this time."""
 CORRECTION_SHARE, LEAST_CORRECTION = 0.15, 0.3
 """-, m/s: bound of the correction as a share of the planned speed, and its least value while the trajectory moves."""
 MAX_CATCH_UP = 3.0
@@ -25,6 +26,8 @@ MAX_CATCH_UP = 3.0
 LIMIT_TIME, LIMIT_WAY = 2.0, 5.0
 """s, m: way ahead and behind, at the planned speed and at least. The largest planned speed in it limits a car that
 catches up."""
+LIMIT_LEAD = 1.5
+"""s, before a larger speed behind the car leaves this way, from which on it limits no more: the car slows down late."""
 START_WAY = 0.05
 """m: a car that leaves a place of rest starts with the speed that is planned so far behind it."""
 
@@ -139,11 +142,12 @@ def _lateness(time, station, speeds):
 
 @inlined
 def _top_speed(station, planned_speed, speeds):
-    """Largest planned speed (m/s) near a station (m)."""
+    """Speed (m/s) up to which a car at a station (m) catches up: the largest planned nearby."""
     way = max(LIMIT_TIME * planned_speed, LIMIT_WAY)
-    top_speed = max(speed_at(station - way, speeds), speed_at(station + way, speeds))
-    k = last_at(station + way, speeds.s)
-    while k >= 0 and speeds.s[k] >= station - way:
+    first, last = station - way + LIMIT_LEAD * planned_speed, station + way
+    top_speed = max(speed_at(first, speeds), speed_at(last, speeds))
+    k = last_at(last, speeds.s)
+    while k >= 0 and speeds.s[k] >= first:
         top_speed = max(top_speed, speeds.speed[k])
         k -= 1
     return top_speed
@@ -151,14 +155,15 @@ def _top_speed(station, planned_speed, speeds):
 
 @exported(void(float64, float64, float64, Place(Planned)))
 def keep_time(time, station, speed, planned):
-    """Write lateness, debt, correction, top speed and target speed of a car, and whether it is to leave, to the memory.
+    """Write lateness, debt, correction, top speed, target speed, and the time up to a departure to the memory.
 
     time: s, on the tracker's clock; station, speed: m, m/s, of the car. Lateness beyond `MAX_CATCH_UP` becomes debt,
     which shrinks with the lateness. The reference place is never beyond the next place of rest. So a late car arrives
     there at planned speeds, and leaves at the planned time. Without nodes, a place or a time nothing is corrected.
     """
     settings, memory, speeds = planned.settings[0], planned.memory[0], planned.speeds
-    memory.late, memory.correction, memory.target_speed, memory.is_leaving = math.nan, 0.0, math.nan, 0
+    memory.late, memory.correction, memory.target_speed = math.nan, 0.0, math.nan
+    memory.is_leaving, memory.rest_time = 0, 0.0
     if speeds.s.size == 0 or not math.isfinite(time - station):
         return
     memory.late = _lateness(time, station, speeds)
@@ -168,15 +173,17 @@ def keep_time(time, station, speed, planned):
     memory.top_speed = limit if limit == limit else _top_speed(station, planned_speed, speeds)
     reference, reference_speed = place_at(time - memory.debt, speeds)
     gap = _before_next_rest(reference, station, speeds) - station
-    bound = CORRECTION_SHARE * planned_speed
+    bound, dead_zone = CORRECTION_SHARE * planned_speed, DEAD_ZONE
     if reference_speed > 0.0:
-        bound = max(bound, LEAST_CORRECTION)
-    correction = clip(settings.catch_up * (gap - clip(gap, -DEAD_ZONE, DEAD_ZONE)), -bound, bound)
+        bound, dead_zone = max(bound, LEAST_CORRECTION), min(dead_zone, DEAD_ZONE_TIME * planned_speed)
+    correction = clip(settings.catch_up * (gap - clip(gap, -dead_zone, dead_zone)), -bound, bound)
     memory.correction = min(correction, max(memory.top_speed - planned_speed, 0.0))
     rest_node = _rest_between(station - OVERSHOOT, station + STOP_TOLERANCE, speeds)
     next_place = station + max(0.0, speed) * settings.period
-    if rest_node >= 0 and time - memory.debt >= _leave_at(rest_node, speeds):
-        memory.is_leaving, next_place = 1, max(next_place, speeds.s[rest_node] + START_WAY)
+    if rest_node >= 0:
+        memory.rest_time = max(_leave_at(rest_node, speeds) - (time - memory.debt), 0.0)
+        if memory.rest_time == 0.0:
+            memory.is_leaving, next_place = 1, max(next_place, speeds.s[rest_node] + START_WAY)
     memory.target_speed = 0.0
     if memory.driven_by == STOP:
         memory.correction = 0.0

@@ -85,6 +85,7 @@ SPEED_SAMPLE = record(
         "is_timed",  # 1: the plan is a planner's trajectory: its own decelerations are followed up to `emergency`
         "correction",  # m/s, of the planned speeds, by which the car keeps the times of the trajectory
         "correction_limit",  # m/s, speed that the correction never exceeds
+        "rest_time",  # s, until the trajectory leaves the place of rest where the car is; 0: it does not rest there
     ),
 )  # fmt: skip
 """What a speed controller is given once a control period."""
@@ -227,12 +228,20 @@ SHORT_MOVE, SHORT_MOVE_BRAKE = 1.5, 0.2
 GENTLE_LAUNCH, DESCENT = 0.15, 0.5
 """m/s^2, m/s^2: push while the brakes are released before a short move, and on a descent from which on the slope sets
 the car going."""
-LEAST_TARGET = 0.3
-"""m/s, least speed to reach where no stop is ahead, so that a car leaves a place with a planned speed of 0."""
+START_SIGMAS = 2.0
+"""Standard deviations by which the delays of drive and brakes may be shorter than estimated, so that a start by the
+time is never early."""
+LEAST_TARGET, LEAST_EARLY_TARGET = 0.3, 0.27
+"""m/s, least speed to reach where no stop is ahead, so that a car leaves a place with a planned speed of 0: usually,
+and of a car that is ahead of the times of its trajectory."""
+CATCH_UP_SHARE = 0.75
+"""Of the speed that is left up to the limit of a car that catches up: it approaches the limit more slowly than planned,
+and so does not overshoot it."""
 PASSED_CELLS = 2
 """Cells behind the car in which the deceleration of a trajectory still counts, so that it holds up to a stop."""
-LEAD_DISTANCE, LEAD_TIME = 2.0, 0.2
-"""m, s: way over which the acceleration of the plan is taken; on a trajectory no more than in this time."""
+LEAD_DISTANCE, LEAD_TIME, LEAST_LEAD_DISTANCE = 2.0, 0.2, 0.1
+"""m, s, m: way over which the acceleration of the plan is taken; on a trajectory the way in this time, within these
+bounds."""
 BRAKE_CAUTION, KNOWN_DELAY = 2.0, 0.05
 """-, s: a stop begins earlier by the way in the caution times the standard deviation of the delay of the brakes beyond
 that of known ones, chosen on 16 cars."""
@@ -314,7 +323,8 @@ def _planned_square(cell, sample, path):
     if sample.correction == 0.0:
         return planned
     speed = sqrt(planned)
-    return square(clip(speed + sample.correction, 0.0, max(speed, sample.correction_limit)))
+    most = CATCH_UP_SHARE * max(sample.correction_limit - speed, 0.0)
+    return square(max(speed + min(sample.correction, most), 0.0))
 
 
 @inlined
@@ -466,8 +476,11 @@ def _stands(memory):
 
 # -- stops ------------------------------------------------------------------------------------------------------------
 @inlined
-def _dwell(dt, path, memory):
-    """Count the time at a stop; leave it when it is over, or the stop is no more, or the car was moved away."""
+def _dwell(sample, dt, path, memory):
+    """Count the time at a stop; leave it when it is over, or the stop is no more, or the car was moved away.
+
+    A planned rest is left as soon as the drive may have to push, see `_start`.
+    """
     index = stops.stop_at(memory.stop_place, stops.SAME_PLACE, path)
     enough = max(stops.LEFT_DISTANCE, stops.LEFT_SIGMAS * sqrt(memory.p_station))
     way = stops.way_to(memory.stop_place, memory.station, path)
@@ -475,16 +488,17 @@ def _dwell(dt, path, memory):
         memory.speed_state = DRIVING
         return
     memory.standing += dt
-    is_released = memory.is_released > 0 and not stops.is_path_end(index, path)
+    is_released = memory.is_released > 0 or 0.0 < sample.rest_time <= learning.SETTLING_TIME
+    is_released = is_released and not stops.is_path_end(index, path)
     if memory.standing >= path.seconds[index] or is_released:
         memory.speed_state, memory.served_place = DRIVING, memory.stop_place
 
 
 @inlined
-def _find_stop(dt, path, memory):
+def _find_stop(sample, dt, path, memory):
     """Find the next stop: its index and the way to it (m); wait at one that the car has reached."""
     if memory.speed_state == WAITING:
-        _dwell(dt, path, memory)
+        _dwell(sample, dt, path, memory)
     if memory.speed_state != WAITING:
         memory.is_released = 0
     stops.forget_served_stop(path, memory)
@@ -584,17 +598,34 @@ def _moved(memory):
 
 
 @inlined
-def _start(way, period, settings, memory):
+def _least_delay(belief):
+    """Delay (s) of an actuator that it has at least."""
+    return max(belief.dead_time + belief.lag - START_SIGMAS * belief.delay_sigma, 0.0)
+
+
+@inlined
+def _release_time(period, settings, memory):
+    """Time (s) that a car needs at least from the first release of its brakes until it moves, see `_start`."""
+    descent = max(period.drive.disturbance - _resistance(0.0, period.slope, settings), 0.0)
+    surplus = max(memory.hold / settings.mass, HOLD_AT_REST) - descent - START_RESERVE - GENTLE_LAUNCH
+    delayed = RELEASE_RATE * _least_delay(period.brakes) + LAUNCH_RATE * _least_delay(period.drive)
+    return max(surplus + delayed, 0.0) / (RELEASE_RATE + LAUNCH_RATE)
+
+
+@inlined
+def _start(sample, way, period, settings, memory):
     """Push until the car moves, and release the brakes gradually once the drive carries the estimated slope.
 
-    way: m, to the next stop. A car that rolls back is held again until the drive pushes more than before. Return
-    whether the car has still to start.
+    way: m, to the next stop. A car that rolls back is held again until the drive pushes more than before. At a planned
+    rest the brakes hold until a car that is released cannot move before its time. Return whether the car has still to
+    start.
     """
     if memory.is_starting == 0:
         _hold(0.0, period, settings, memory)
         memory.is_starting, memory.launch = 1, 0.0
     if abs(memory.speed) < STANDING_SPEED:
         memory.start_place = memory.station
+    must_wait = sample.rest_time > _release_time(period, settings, memory)
     is_gentle, direction = way < SHORT_MOVE, _moved(memory)
     moves = memory.speed > (GENTLE_SPEED if is_gentle else STARTED_SPEED)
     is_sure = is_gentle or memory.speed > SURE_SPEED
@@ -615,10 +646,10 @@ def _start(way, period, settings, memory):
         memory.rolled = max(memory.rolled, memory.launch + ROLLED_RESERVE)
         _hold(0.0, period, settings, memory)
         hold, memory.is_starting = memory.hold, 1
-    elif not moves and drive.ratio * drive.acting >= carried:
+    elif not moves and not must_wait and drive.ratio * drive.acting >= carried:
         hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * period.duration * settings.mass, 0.0)
     if not moves:
-        is_slow = (is_gentle or resistance < -DESCENT) and hold > 0.0 and memory.rolled == 0.0
+        is_slow = must_wait or ((is_gentle or resistance < -DESCENT) and hold > 0.0 and memory.rolled == 0.0)
         memory.launch = min(memory.launch + LAUNCH_RATE * period.duration, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
     memory.is_braking, memory.force, memory.acceleration, memory.hold = 0, force, acceleration, hold
     return True
@@ -652,10 +683,11 @@ def _aim(sample, index, way, stop_braking, top_square, resistance, period, setti
     place = station + coming_way
     lead = place + true_ratio * coming_speed * lag
     target_square = _square_at(place, station, path, ahead)
-    target = max(sqrt(max(target_square, 0.0)), LEAST_TARGET)
+    least_target = max(LEAST_TARGET + min(sample.correction, 0.0), LEAST_EARLY_TARGET)
+    target = max(sqrt(max(target_square, 0.0)), least_target)
     distance = LEAD_DISTANCE
     if sample.is_timed > 0.0:
-        distance = clip(LEAD_TIME * coming_speed, path.spacing, LEAD_DISTANCE)
+        distance = clip(LEAD_TIME * coming_speed, LEAST_LEAD_DISTANCE, LEAD_DISTANCE)
     change = _square_at(lead + distance, station, path, ahead) - _square_at(lead, station, path, ahead)
     acceleration, cause = 0.5 * change / distance, BY_GRIP
     if target_square >= _planned_square(cell_at(place, path), sample, path) * 0.999:
@@ -677,6 +709,19 @@ def _aim(sample, index, way, stop_braking, top_square, resistance, period, setti
 
 
 @inlined
+def _rest(period, settings, memory):
+    """Come to rest at once, and stand: the place of rest is where the trajectory begins."""
+    memory.speed_state, memory.limited_by = STOPPING, BY_STOP
+    if memory.is_starting > 0 or _stands(memory):
+        memory.standing += period.duration
+        _stand(0.0, period, settings, memory)
+        return
+    memory.standing, memory.target_speed, memory.hold, memory.is_braking = 0.0, 0.0, 0.0, 1
+    deceleration = min(SHORT_MOVE_BRAKE + settings.gain * memory.speed, settings.brake)
+    _request(-deceleration, memory.speed, period, settings, memory)
+
+
+@inlined
 def _follow(sample, index, way, top_square, period, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests. index, way: of the stop, and m to it."""
     is_near = -math.inf < way < stops.NEAR_STOP and memory.travelled <= stops.ARRIVAL_WAY
@@ -688,7 +733,10 @@ def _follow(sample, index, way, top_square, period, settings, path, memory, bank
     resistance = _resistance(memory.speed, period.slope, settings)
     rolls_back = memory.travelled < stops.ARRIVAL_WAY and _moved(memory) < 0
     is_at_start = memory.is_starting > 0 or memory.speed < STANDING_SPEED or rolls_back
-    if is_at_start and _start(way, period, settings, memory):
+    if way > stops.STOP_TOLERANCE and learning.SETTLING_TIME < sample.rest_time < math.inf:
+        _rest(period, settings, memory)
+        return
+    if is_at_start and _start(sample, way, period, settings, memory):
         memory.speed_state, memory.limited_by = DRIVING, BY_PLAN
         return
     stop_braking = _stop_braking(index, way, sample, settings, path, memory)
@@ -892,7 +940,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     index, way = stops.NO_STOP, math.inf
     if needed <= 0.0:
         memory.speed_state = DRIVING if was_off else memory.speed_state
-        index, way = _find_stop(dt, path, memory)
+        index, way = _find_stop(sample, dt, path, memory)
         if index == stops.NO_STOP and path.closed == 0 and memory.station > path.length:
             needed = settings.brake  # beyond the end of the path
     if needed > 0.0:

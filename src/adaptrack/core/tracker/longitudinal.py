@@ -175,8 +175,10 @@ def _keep_planned_time(planned, sample, memory):
         return
     planner_memory = planned.memory[0]
     sample.is_timed, sample.correction, sample.correction_limit = 0.0, 0.0, planner_memory.top_speed
+    sample.rest_time = 0.0
     if planner_memory.driven_by == PLANNER or planner_memory.driven_by == FALLBACK:
         sample.is_timed, sample.correction = 1.0, planner_memory.correction
+        sample.rest_time = planner_memory.rest_time
         memory.is_released = max(memory.is_released, planner_memory.is_leaving)
     elif planner_memory.driven_by == STOP:
         sample.is_guided = 0.0
