@@ -35,7 +35,7 @@ from ..planned.condition import condition, is_rest
 from ..planned.meant_line import FAR_SHARE, FAR_TIME, hides_error, remember_place
 from ..planned.records import FALLBACK, NOBODY, NODE, PLANNER, POINT, STOP, PlannedSpeeds
 from ..planned.timing import time_at
-from ..roads.noise import noise_of, smooth_points
+from ..roads.noise import SMOOTHING_WORDS, noise_of, smooth_points
 from ..roads.path import PATH_SCRATCH, cells_of, line_in, path_through, words_of
 from ..roads.road import LENGTH, foot_near, nearest
 from . import pose
@@ -46,9 +46,9 @@ LINE_FLAW = 100
 """Added to a status of `roads.path.path_through`: no line can be fitted to the nodes."""
 MIN_NODE_SPEED, MIN_PLACE_STEP = 0.1, 1e-3
 """m/s, m: least speed at a node that is no rest; least distance of two places of the speeds."""
-LONGEST_WAIT, LENGTH_ROOM, SMOOTHING_WORDS = 0.5, 100.0, 14
-"""s, m, -: longest time over which the car is extrapolated to the arrival of a trajectory; by how much a line may be
-longer than its trajectory; numbers that smoothing needs for each node."""
+LONGEST_WAIT, LENGTH_ROOM = 0.5, 100.0
+"""s, m: longest time over which the car is extrapolated to the arrival of a trajectory; by how much a line may be
+longer than its trajectory."""
 MAX_REFERENCE_OFFSET = 1.0
 """m: the reference moves at once to a line that is farther from the line before."""
 FIT_OFFSET, FIT_ANGLE, FIT_TIME = 1.0, math.radians(10.0), 1.0
