@@ -72,7 +72,7 @@ KINK_HALVINGS = 12
 JOINT = 1e-6
 """rad, the largest jump of the heading between two pieces, which rounding leaves."""
 NEWTON = 7
-"""Steps; each squares the error, which begins within 1."""
+"""Most steps; each squares the error, which begins within 1. An odd number, see `_write_places`."""
 
 NODES = road.POLYNOMIAL_DEGREE + 1
 _GRID = 2**20
@@ -351,10 +351,10 @@ def _value(coefficients, u):
 def _interpolate(values, coefficients):
     """Write the coefficients of the polynomial through values at the nodes."""
     for j in range(NODES):
-        coefficients[j] = 0.0
-    for k in range(NODES):
-        for j in range(NODES):
-            coefficients[j] += values[k] * _BASIS[k, j]
+        coefficient = 0.0
+        for k in range(NODES):
+            coefficient += values[k] * _BASIS[k, j]
+        coefficients[j] = coefficient
 
 
 @inlined
@@ -363,7 +363,7 @@ def _write_places(x, y, z):
 
     Half of its length (m), and the largest error of that length (m), which counts Newton's last step in.
     """
-    speed, rate, step = _at_places(), _of_nodes(), _at_places()
+    speed, rate, step, earlier = _at_places(), _of_nodes(), _at_places(), _at_places()
     for k in range(_COUNT):
         u = _PLACES[k]
         dx, dy = x[0] + u * (x[1] + u * x[2]), y[0] + u * (y[1] + u * y[2])
@@ -377,7 +377,14 @@ def _write_places(x, y, z):
         even = k % 2 == 0
         half += rate[k] / (k + 1) if even else 0.0
         middle += 0.0 if even else rate[k] / (k + 1)
-    for _ in range(NEWTON):
+    for n in range(NEWTON):
+        if n % 2 == 1:  # an even number of steps before the last one: it repeats the places of two steps ago
+            k = 0
+            while k < _COUNT and z[k] == earlier[k]:
+                k += 1
+            if k == _COUNT:
+                break
+            earlier[:] = z
         for k in range(_COUNT):
             way = slope = 0.0
             for j in range(road.POLYNOMIAL_DEGREE, -1, -1):

@@ -10,7 +10,7 @@ import math
 
 from ..controllers.contract import wrapped
 from ..input_check.hypotheses import MISTAKES
-from ..input_check.record import memory_of, report
+from ..input_check.record import memory_of, report, settings_of
 from ..kernel import (
     OK,
     Place,
@@ -35,7 +35,7 @@ from ..planned.condition import condition, is_rest
 from ..planned.meant_line import FAR_SHARE, FAR_TIME, hides_error, remember_place
 from ..planned.records import FALLBACK, NOBODY, NODE, PLANNER, POINT, STOP, PlannedSpeeds
 from ..planned.timing import time_at
-from ..roads.noise import SMOOTHING_WORDS, noise_of, smooth_points
+from ..roads.noise import noise_of, smooth_points
 from ..roads.path import PATH_SCRATCH, cells_of, line_in, path_through, words_of
 from ..roads.road import LENGTH, foot_near, nearest
 from . import pose
@@ -75,23 +75,14 @@ Buffers = record(
     ),
 )  # fmt: skip
 """Parts of a buffer: points of a line, nodes and their feet on the line before, speeds, stops (m), and a path."""
+_SPEEDS_AT, _STOPS_AT, _PATH_AT = 10, 14, 15
+"""Columns before these parts."""
 
 
 @inlined
-def _capacities(count, old_count):
-    """Capacity for points, nodes and places of speeds, of `count` planned points and `old_count` of the line before."""
-    nodes = 2 * count + 2
-    return splice.FRONT_ROOM + old_count + nodes, nodes, nodes + 2
-
-
-@inlined
-def _offsets(count, old_count):
-    """Positions in a buffer at which nodes, feet, speeds, stops and path begin; points are at its beginning."""
-    points, nodes, places = _capacities(count, old_count)
-    feet_at = 3 * points + len(NODE) * nodes
-    speeds_at = feet_at + 2 * nodes
-    stops_at = speeds_at + 4 * places
-    return 3 * points, feet_at, speeds_at, stops_at, stops_at + places
+def _room_for(count, old_count):
+    """Rows of each part of a buffer, for `count` planned points and `old_count` of the line before."""
+    return splice.FRONT_ROOM + old_count + 2 * count + 2
 
 
 @exported(int64(int64, int64, float64))
@@ -100,22 +91,19 @@ def trajectory_words(count, old_count, length):
 
     old_count: number of points of the followed line.
     """
-    points, nodes, _ = _capacities(count, old_count)
-    _, _, _, _, path_at = _offsets(count, old_count)
-    line = words_of(points + points // 4 + 16, cells_of(length + LENGTH_ROOM)) + PATH_SCRATCH * points
-    return path_at + max(line, SMOOTHING_WORDS * nodes)
+    room = _room_for(count, old_count)
+    return _PATH_AT * room + words_of(room + room // 4 + 16, cells_of(length + LENGTH_ROOM)) + PATH_SCRATCH * room
 
 
 @inlined
-def _buffers_in(buffer, count, old_count):
+def _buffers_in(buffer, room):
     """Return the parts of a buffer."""
-    points, nodes, places = _capacities(count, old_count)
-    nodes_at, feet_at, speeds_at, stops_at, path_at = _offsets(count, old_count)
-    speeds = shaped(buffer[speeds_at:stops_at], 4, places)
+    points, nodes, feet = buffer[: 3 * room], buffer[3 * room : 8 * room], buffer[8 * room : _SPEEDS_AT * room]
+    speeds = shaped(buffer[_SPEEDS_AT * room : _STOPS_AT * room], 4, room)
     return Buffers(
-        shaped(buffer[:nodes_at], points, 3), shaped(buffer[nodes_at:feet_at], nodes, len(NODE)),
-        shaped(buffer[feet_at:speeds_at], nodes, 2), PlannedSpeeds(speeds[0], speeds[1], speeds[2], speeds[3]),
-        buffer[stops_at:path_at], buffer[path_at:],
+        shaped(points, room, 3), shaped(nodes, room, len(NODE)), shaped(feet, room, 2),
+        PlannedSpeeds(speeds[0], speeds[1], speeds[2], speeds[3]),
+        buffer[_STOPS_AT * room : _PATH_AT * room], buffer[_PATH_AT * room :],
     )  # fmt: skip
 
 
@@ -193,8 +181,8 @@ def _write_line(arrival, car, count, buffers, tracker):
     if car.station == car.station:
         splice.project_nodes(nodes, count, car.station, pose.line(tracker), feet)
         if arrival.role == PLANNER and arrival.is_urgent == 0:
-            sigma, memory = planned.settings[0].position_noise, planned.memory[0]
-            until = splice.confirmed_agreement_end(car, sigma, noise, feet, count, planned.points, memory)
+            sigma = settings_of(tracker.check.settings, 0).position_noise
+            until = splice.confirmed_agreement_end(car, sigma, noise, feet, count, planned.points, planned.memory[0])
     end = splice.write_points(nodes, count, feet, until, car, pose.line(tracker), planned.points, points)
     first = splice.prepend_points(car, nodes, end, points)
     flaw, _ = path_through(points[first:end], False, 0.0, buffers.path)
@@ -262,11 +250,11 @@ def _checksum_of(points):
 def _watch_meant_line(arrival, car, count, buffers, tracker):
     """Report a planner that hides the error of the controller, and store a place of this trajectory."""
     planned, nodes, feet = tracker.planned, buffers.nodes, buffers.feet
-    settings, memory = planned.settings[0], planned.memory[0]
+    memory, sigma = planned.memory[0], settings_of(tracker.check.settings, 0).position_noise
     if car.station == car.station and count > 1:
         elapsed = clip(arrival.time - memory.arrival, 0.0, 1.0)
         line_offset, _ = splice.interpolate_offset(car.station, feet, count, 0)
-        if hides_error(car.x, car.y, tracker.memory[0].offset - line_offset, elapsed, settings, planned.far, memory):
+        if hides_error(car.x, car.y, tracker.memory[0].offset - line_offset, elapsed, sigma, planned.far, memory):
             report(memory_of(tracker.check.memory, 0), MISTAKES.plan_begins_at_car, abs(memory.meant_offset), 0.0, 0.0)
     time_ahead = min(FAR_TIME, FAR_SHARE * (nodes[count - 1, NODE.arrive] - arrival.time))
     if time_ahead > 0.0:
@@ -296,7 +284,8 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
         if memory.driven_by == PLANNER and checksum == memory.checksum:
             memory.stamp, memory.arrival = max(memory.stamp, arrival.stamp), arrival.time
             return clock.VERDICT.same, OK, 0
-    buffers = _buffers_in(buffer, len(points), len(planned.points))
+    room = _room_for(len(points), len(planned.points))
+    buffers = _buffers_in(buffer, room)
     nodes, speeds = buffers.nodes, buffers.speeds
     status, entry, count = condition(points, settings.tracked_arm, begins, nodes)
     if count == 0:
@@ -318,9 +307,8 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
         _watch_meant_line(arrival, car, count, buffers, tracker)
         memory.stamp, memory.arrival, memory.checksum = arrival.stamp, arrival.time, checksum
     parts[PARTS.points], parts[PARTS.speeds], parts[PARTS.stops] = point_count, place_count, stop_count
-    _, _, speeds_at, stops_at, path_at = _offsets(len(points), len(planned.points))
-    parts[PARTS.speeds_at], parts[PARTS.stops_at], parts[PARTS.path_at] = speeds_at, stops_at, path_at
-    parts[PARTS.room] = speeds.s.size
+    parts[PARTS.speeds_at], parts[PARTS.stops_at] = _SPEEDS_AT * room, _STOPS_AT * room
+    parts[PARTS.path_at], parts[PARTS.room] = _PATH_AT * room, room
     return clock.VERDICT.taken, status, entry
 
 
