@@ -43,9 +43,9 @@ _three, _six, _seven = local(3), local(6), local(7)
 
 
 @inlined
-def _on_lap(k, count):
-    """Index of a point of a lap, for 0 <= k < 2 count."""
-    return k if k < count else k - count
+def index_on_lap(number, count):
+    """Index of a point of a lap of `count` points, for a number from -count to 2 count - 1."""
+    return number + count if number < 0 else number - count if number >= count else number
 
 
 @inlined
@@ -56,14 +56,14 @@ def _difference(points, first, steps, factors):
     """
     count, last, places, x, y = len(points), steps.size, _seven(), 0.0, 0.0
     for j in range(last):
-        k, after = _on_lap(first + j, count), _on_lap(first + j + 1, count)
+        k, after = index_on_lap(first + j, count), index_on_lap(first + j + 1, count)
         if first > 0 and j < last - 1:
             steps[j] = steps[j + 1]
         else:
             steps[j] = hypot(points[after, 0] - points[k, 0], points[after, 1] - points[k, 1])
         places[j + 1] = places[j] + steps[j]
     for j in range(last + 1):
-        k, factors[j] = _on_lap(first + j, count), 1.0
+        k, factors[j] = index_on_lap(first + j, count), 1.0
         for i in range(last + 1):
             factors[j] /= places[j] - places[i] if i != j else 1.0
         x += factors[j] * (points[k, 0] - points[first, 0])
@@ -82,7 +82,7 @@ def noise_of(points, closed, differences):
     products = squares = length = before = low = high = 0.0
     for k in range(rows if count >= MIN_NOISY_POINTS else 0):
         step, dx, dy = _difference(points, k, steps, factors)
-        end, size = _on_lap(k + steps.size, count), 0.0
+        end, size = index_on_lap(k + steps.size, count), 0.0
         for j in range(factors.size):
             size += square(factors[j])
         tx, ty = points[end, 0] - points[k, 0], points[end, 1] - points[k, 1]
@@ -121,9 +121,10 @@ def _solve(equations, first_coupled):
                 entry -= equations[i, k] * equations[i - d, k - d]
             equations[i, d] = entry / equations[i - d, 0] if d > 0 else sqrt(entry)
         for column in range(BANDS, BANDS + 2):
+            entry = equations[i, column]
             for d in range(stride, reach + 1, stride):
-                equations[i, column] -= equations[i, d] * equations[i - d, column]
-            equations[i, column] /= equations[i, 0]
+                entry -= equations[i, d] * equations[i - d, column]
+            equations[i, column] = entry / equations[i, 0]
     for i in range(len(equations) - 1, -1, -1):
         stride, reach = 2 if i < first_coupled else 1, min(BANDS - 1, i)
         for column in range(BANDS, BANDS + 2):
@@ -175,19 +176,19 @@ def smooth_points(points, closed, noise, memory):
             spread = noise * sqrt(step)
             amplitude, share = sqrt(AMPLITUDE * spread) / sharpest, spread / (sqrt(18.0) * SHARE * sharpest)
             radius[k] = power(amplitude, 1.0 / 3.0)
-            if not share * square(share) < 0.999 * amplitude * square(amplitude) * sqrt(amplitude):
+            if not share * square(share) < 0.999 * amplitude * square(amplitude) * sqrt(amplitude):  # else it is less
                 radius[k] = max(radius[k], power(share, 2.0 / 7.0))
             radius[k] = min(radius[k], MAX_RADIUS * step)
             weight = square(6.0 * radius[k] * square(radius[k]))
             for i in range(factors.size):
-                point = _on_lap(k + i, count)
+                point = index_on_lap(k + i, count)
                 dx, dy = dx + factors[i] * x[point], dy + factors[i] * y[point]
             for i in range(factors.size):
-                row = _row_of(_on_lap(k + i, count), count)
+                row = _row_of(index_on_lap(k + i, count), count)
                 equations[row, BANDS] += weight * factors[i] * dx
                 equations[row, BANDS + 1] += weight * factors[i] * dy
                 for j in range(i + 1):
-                    other = _row_of(_on_lap(k + j, count), count)
+                    other = _row_of(index_on_lap(k + j, count), count)
                     equations[max(row, other), abs(row - other)] += weight * factors[i] * factors[j]
         _solve(equations, 0 if closed else count - BANDS + 1)
         for k in range(count):
