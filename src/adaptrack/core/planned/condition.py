@@ -382,13 +382,11 @@ def _insert_moving_nodes(draft, count):
     total = count + added
     for k in range(count - 2, -1, -1):
         is_stuck, time = _is_stuck(nodes, k), _time_to_next(nodes, k)
-        for j in range(len(NODE)):
-            nodes[k + 1 + added, j] = nodes[k + 1, j]
-            if is_stuck:
-                nodes[k + added, j] = 0.5 * (nodes[k, j] + nodes[k + 1, j])
+        nodes[k + 1 + added, :] = nodes[k + 1]
         if is_stuck:
-            nodes[k + added, NODE.arrive] = nodes[k, NODE.leave] + 0.5 * time
-            nodes[k + added, NODE.leave] = nodes[k + added, NODE.arrive]
+            nodes[k + added, NODE.x] = 0.5 * (nodes[k, NODE.x] + nodes[k + 1, NODE.x])
+            nodes[k + added, NODE.y] = 0.5 * (nodes[k, NODE.y] + nodes[k + 1, NODE.y])
+            nodes[k + added, NODE.arrive] = nodes[k + added, NODE.leave] = nodes[k, NODE.leave] + 0.5 * time
             nodes[k + added, NODE.speed] = 2.0 * _gap(draft.work, k, k + 1) / time
             added -= 1
     return total

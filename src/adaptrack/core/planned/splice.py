@@ -58,8 +58,7 @@ def thin_nodes(nodes, count):
             continue
         if end > 1 and is_needed and way < 0.5 * step and not is_rest(nodes, end - 1):
             end -= 1
-        for i in range(len(NODE)):
-            nodes[end, i] = nodes[j, i]
+        nodes[end, :] = nodes[j]
         end += 1
     return end
 

@@ -28,7 +28,6 @@ from ..kernel import (
     void,
 )
 from ..maths.exact import clip, square
-from ..maths.exponential import hypot
 from ..physics.forces import GRAVITY
 from ..planned import clock, splice
 from ..planned.condition import condition, is_rest
@@ -70,12 +69,12 @@ and of stops; where the columns of the speeds begin, `room` numbers each; where 
 Buffers = record(
     "Buffers",
     (
-        ("points", matrix), ("nodes", matrix), ("feet", matrix), ("speeds", PlannedSpeeds), ("stops", vector),
-        ("path", vector),
+        ("points", matrix), ("nodes", matrix), ("feet", matrix), ("path_feet", matrix), ("speeds", PlannedSpeeds),
+        ("stops", vector), ("path", vector),
     ),
 )  # fmt: skip
-"""Parts of a buffer: points of a line, nodes and their feet on the line before, speeds, stops (m), and a path."""
-_SPEEDS_AT, _STOPS_AT, _PATH_AT = 10, 14, 15
+"""Parts of a buffer: points of a line, nodes, feet on the line before and on the path, speeds, stops (m), a path."""
+_SPEEDS_AT, _STOPS_AT, _PATH_AT = 12, 16, 17
 """Columns before these parts."""
 
 
@@ -98,10 +97,11 @@ def trajectory_words(count, old_count, length):
 @inlined
 def _buffers_in(buffer, room):
     """Return the parts of a buffer."""
-    points, nodes, feet = buffer[: 3 * room], buffer[3 * room : 8 * room], buffer[8 * room : _SPEEDS_AT * room]
+    points, nodes = shaped(buffer[: 3 * room], room, 3), shaped(buffer[3 * room : 8 * room], room, len(NODE))
+    feet, path_feet = buffer[8 * room : 10 * room], buffer[10 * room : _SPEEDS_AT * room]
     speeds = shaped(buffer[_SPEEDS_AT * room : _STOPS_AT * room], 4, room)
     return Buffers(
-        shaped(points, room, 3), shaped(nodes, room, len(NODE)), shaped(feet, room, 2),
+        points, nodes, shaped(feet, room, 2), shaped(path_feet, room, 2),
         PlannedSpeeds(speeds[0], speeds[1], speeds[2], speeds[3]),
         buffer[_STOPS_AT * room : _PATH_AT * room], buffer[_PATH_AT * room :],
     )  # fmt: skip
@@ -189,26 +189,22 @@ def _write_line(arrival, car, count, buffers, tracker):
     if flaw != OK:
         return LINE_FLAW + flaw, count, 0
     line, _ = line_in(buffers.path)
-    s = 0.0
+    splice.project_nodes(points[first:end], end - first, 0.0, line, buffers.path_feet)
     for k in range(end - first):
-        x, y = points[first + k, 0], points[first + k, 1]
-        if k > 0:
-            s += hypot(x - points[k - 1, 0], y - points[k - 1, 1])
-        s, _, _, _ = foot_near(x, y, s, line)
-        points[k, 0], points[k, 1], points[k, 2] = x, y, s
+        points[k, 0], points[k, 1] = points[first + k, 0], points[first + k, 1]
+        points[k, 2] = buffers.path_feet[k, 0]
     return OK, count, end - first
 
 
 @inlined
-def _write_speeds(nodes, count, line, speeds, stops):
+def _write_speeds(count, line, buffers):
     """Write speeds and times of nodes along their line, and the stops (m); return the numbers of places and stops."""
-    k, s, length, stop_count = -1, 0.0, line.numbers[LENGTH], 0
+    nodes, speeds, stops, feet = buffers.nodes, buffers.speeds, buffers.stops, buffers.path_feet
+    k, length, stop_count = -1, line.numbers[LENGTH], 0
+    splice.project_nodes(nodes, count, 0.0, line, feet)
     for j in range(count):
-        node = nodes[j]
-        if j > 0:
-            s += hypot(node[NODE.x] - nodes[j - 1, NODE.x], node[NODE.y] - nodes[j - 1, NODE.y])
-        s, _, _, _ = foot_near(node[NODE.x], node[NODE.y], s, line)
-        place, speed = length if j == count - 1 else clip(s, 0.0, length), max(node[NODE.speed], MIN_NODE_SPEED)
+        node, place = nodes[j], length if j == count - 1 else clip(feet[j, 0], 0.0, length)
+        speed = max(node[NODE.speed], MIN_NODE_SPEED)
         if j == 0 and place > MIN_PLACE_STEP:  # the line begins behind the trajectory
             speeds.s[0], speeds.speed[0] = 0.0, speed
             speeds.arrive[0] = speeds.leave[0] = node[NODE.arrive] - place / speed
@@ -286,7 +282,7 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
             return clock.VERDICT.same, OK, 0
     room = _room_for(len(points), len(planned.points))
     buffers = _buffers_in(buffer, room)
-    nodes, speeds = buffers.nodes, buffers.speeds
+    nodes = buffers.nodes
     status, entry, count = condition(points, settings.tracked_arm, begins, nodes)
     if count == 0:
         return clock.VERDICT.taken, status, entry
@@ -300,9 +296,9 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
     if not is_fallback and _must_wait(arrival, car, nodes, line, settings, memory):
         memory.stamp, memory.arrival = arrival.stamp, arrival.time
         return clock.VERDICT.waiting, OK, 0
-    place_count, stop_count = _write_speeds(nodes, count, line, speeds, buffers.stops)
+    place_count, stop_count = _write_speeds(count, line, buffers)
     if is_fallback:
-        _shift_times(arrival.time, _nearest_station(car, line), place_count, speeds)
+        _shift_times(arrival.time, _nearest_station(car, line), place_count, buffers.speeds)
     else:
         _watch_meant_line(arrival, car, count, buffers, tracker)
         memory.stamp, memory.arrival, memory.checksum = arrival.stamp, arrival.time, checksum
