@@ -175,10 +175,9 @@ def smooth_points(points, closed, noise, memory):
                 sharpest = max(sharpest, _maximum(sharpness[max(k - reach, 0) : min(k + reach + 1, rows)]))
             spread = noise * sqrt(step)
             amplitude, share = sqrt(AMPLITUDE * spread) / sharpest, spread / (sqrt(18.0) * SHARE * sharpest)
-            radius[k] = power(amplitude, 1.0 / 3.0)
-            if not share * square(share) < 0.999 * amplitude * square(amplitude) * sqrt(amplitude):  # else it is less
-                radius[k] = max(radius[k], power(share, 2.0 / 7.0))
-            radius[k] = min(radius[k], MAX_RADIUS * step)
+            is_longer = spread < 1.0 and share * square(share) < 0.999 * amplitude * square(amplitude) * sqrt(amplitude)
+            longest = power(amplitude, 1.0 / 3.0)
+            radius[k] = min(longest if is_longer else max(longest, power(share, 2.0 / 7.0)), MAX_RADIUS * step)
             weight = square(6.0 * radius[k] * square(radius[k]))
             for i in range(factors.size):
                 point = index_on_lap(k + i, count)

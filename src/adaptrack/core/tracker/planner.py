@@ -173,8 +173,8 @@ def _write_line(arrival, car, count, buffers, tracker):
 
     Return `OK` or a status with `LINE_FLAW`, and the numbers of nodes and points.
     """
-    planned, nodes, feet, points, until = tracker.planned, buffers.nodes, buffers.feet, buffers.points, -math.inf
-    noise = noise_of(nodes[:count], False, buffers.path)
+    planned, nodes, points, until = tracker.planned, buffers.nodes, buffers.points, -math.inf
+    feet, path_feet, noise = buffers.feet, buffers.path_feet, noise_of(nodes[:count], False, buffers.path)
     if noise > 0.0:
         smooth_points(nodes[:count], False, noise, buffers.path)
     count = splice.thin_nodes(nodes, count)
@@ -189,10 +189,9 @@ def _write_line(arrival, car, count, buffers, tracker):
     if flaw != OK:
         return LINE_FLAW + flaw, count, 0
     line, _ = line_in(buffers.path)
-    splice.project_nodes(points[first:end], end - first, 0.0, line, buffers.path_feet)
+    splice.project_nodes(points[first:end], end - first, 0.0, line, path_feet)
     for k in range(end - first):
-        points[k, 0], points[k, 1] = points[first + k, 0], points[first + k, 1]
-        points[k, 2] = buffers.path_feet[k, 0]
+        points[k, 0], points[k, 1], points[k, 2] = points[first + k, 0], points[first + k, 1], path_feet[k, 0]
     return OK, count, end - first
 
 
