@@ -126,8 +126,7 @@ class PlannerFollower:
         arm = arm_of("tracked_point", following.tracked_point, controller.vehicle)
         settings = records.PLANNED_SETTINGS.new(1)
         settings[0] = following.row
-        settings["tracked_arm"], settings["position_noise"] = arm, controller.position_noise
-        settings["period"] = controller.period
+        settings["tracked_arm"], settings["period"] = arm, controller.period
         memory, speeds = records.PLANNED_MEMORY.new(1), records.PlannedSpeeds(*(np.zeros(0),) * 4)
         self.planned = records.Planned(settings, memory, speeds, np.zeros((0, 3)), np.zeros(2 * FAR_PLACES))
         self.fallback: tuple[PlannedTrajectory, float] | None = None

@@ -49,7 +49,7 @@ SPAN = 0.3
 SPEED_SPAN, SPEED_SHARE, SPEED_TOLERANCE = 1.0, 0.15, 0.5
 """s, -, m/s: time over which specified speeds are compared with the places, and their largest difference."""
 
-_WORK = columns("entry", "x", "y", "cos", "sin")  # of a node: index and place of its point, and heading
+_WORK = columns("entry", "x", "y", "cos", "sin")  # of a node: index and place of its point, as in `POINT`, and heading
 _Draft = record("Draft", (("points", matrix), ("nodes", matrix), ("work", matrix)))
 
 
@@ -82,9 +82,9 @@ def _length(x, y):
 
 
 @inlined
-def _gap(points, first, last):
-    """Distance (m) of two entries."""
-    return _length(points[last, POINT.x] - points[first, POINT.x], points[last, POINT.y] - points[first, POINT.y])
+def _gap(rows, first, last):
+    """Distance (m) of the places of two entries of `POINT`, or of two nodes of `_WORK`."""
+    return _length(rows[last, POINT.x] - rows[first, POINT.x], rows[last, POINT.y] - rows[first, POINT.y])
 
 
 @inlined
@@ -144,21 +144,17 @@ def _time_to_next(nodes, k):
 
 @inlined
 def _chord(work, first, last):
-    """Vector (m, m) between the tracked points of two nodes, and its length (m)."""
-    x, y = work[last, _WORK.x] - work[first, _WORK.x], work[last, _WORK.y] - work[first, _WORK.y]
-    return x, y, _length(x, y)
+    """Vector (m, m) between the tracked points of two nodes."""
+    return work[last, _WORK.x] - work[first, _WORK.x], work[last, _WORK.y] - work[first, _WORK.y]
 
 
 @inlined
 def _distant_node(work, k, step, base, count):
     """Index of the first node in steps of 1 or -1 from node k that is at least `base` (m) away; -1: none."""
     j = k + step
-    while 0 <= j < count:
-        _, _, length = _chord(work, k, j)
-        if length >= base:
-            return j
+    while 0 <= j < count and _gap(work, k, j) < base:
         j += step
-    return -1
+    return j if j < count else -1
 
 
 @inlined
@@ -202,7 +198,7 @@ def _mean_speed(draft, k, count):
     """Mean speed (m/s) from a node to the next one; 0 beyond the ends."""
     if k < 0 or k + 1 >= count:
         return 0.0
-    _, _, way = _chord(draft.work, k, k + 1)
+    way = _gap(draft.work, k, k + 1)
     return way / max(_time_to_next(draft.nodes, k), way / (2.0 * MAX_PLAN_SPEED))
 
 
@@ -223,12 +219,13 @@ def _count_to_cusp(work, count):
     """Number of nodes up to the first cusp, where the direction turns by more than 120 degrees."""
     for k in range(1, count - 1):
         before, after = _neighbours(work, k, count)
-        x, y, length = _chord(work, max(before, 0), k)
-        next_x, next_y, next_length = _chord(work, k, max(after, 0))
-        if before >= 0 and after >= 0 and x * next_x + y * next_y < -0.5 * length * next_length:
+        if before < 0 or after < 0:
+            continue
+        (x, y), (next_x, next_y) = _chord(work, before, k), _chord(work, k, after)
+        if x * next_x + y * next_y < -0.5 * _length(x, y) * _length(next_x, next_y):
             cusp, farthest = k, 0.0
             for j in range(k + 1, after):
-                next_x, next_y, _ = _chord(work, k, j)
+                next_x, next_y = _chord(work, k, j)
                 if x * next_x + y * next_y > farthest:
                     cusp, farthest = j, x * next_x + y * next_y
             return cusp + 1
@@ -239,17 +236,17 @@ def _count_to_cusp(work, count):
 @inlined
 def _inverse_chord(work, k, j):
     """Vector (1/m) from node k to node j, divided by the square of its length; 0 if j is -1."""
-    x, y, length = _chord(work, k, max(j, 0))
+    x, y = _chord(work, k, max(j, 0))
+    length = _length(x, y)
     return (x / square(length), y / square(length)) if j >= 0 and length > 0.0 else (0.0, 0.0)
 
 
 @inlined
-def _tangent(work, k, count):
+def _tangent(work, k, before, after, count):
     """Tangent (unit vector) at a node of the circle through it and two nodes at least `TANGENT_BASE` away.
 
-    Inversion about the node turns that circle into a straight line along the tangent.
+    before, after: `_neighbours`. Inversion about the node turns that circle into a straight line along the tangent.
     """
-    before, after = _neighbours(work, k, count)
     if before < 0 and after < 0:
         before, after = 0, count - 1
     elif before < 0:
@@ -281,7 +278,8 @@ def _write_places(draft, arm, count):
         if has_yaws and math.isfinite(yaw):
             heading_cos, heading_sin = cos(yaw), sin(yaw)
         elif count > 1:
-            heading_cos, heading_sin = _tangent(work, k, count)
+            before, after = _neighbours(work, k, count)
+            heading_cos, heading_sin = _tangent(work, k, before, after, count)
         work[k, _WORK.cos], work[k, _WORK.sin] = heading_cos, heading_sin
         is_known = heading_cos == heading_cos
         draft.nodes[k, NODE.x] = work[k, _WORK.x] - (arm * heading_cos if is_known else 0.0)
@@ -291,11 +289,10 @@ def _write_places(draft, arm, count):
 @inlined
 def _curvature_between(work, first, last):
     """Curvature (1/m) of the arc between two nodes: change of the heading over the way of the tracked point."""
-    _, _, length = _chord(work, first, last)
     before, after = work[first], work[last]
     turn = _length(after[_WORK.cos] - before[_WORK.cos], after[_WORK.sin] - before[_WORK.sin])
     sine = before[_WORK.cos] * after[_WORK.sin] - before[_WORK.sin] * after[_WORK.cos]
-    return math.copysign(turn, sine) / max(length, MERGING_DISTANCE)
+    return math.copysign(turn, sine) / max(_gap(work, first, last), MERGING_DISTANCE)
 
 
 @inlined
@@ -305,7 +302,7 @@ def _check_yaw(draft, count):
     for k in range(count if _is_specified(draft.points, POINT.yaw) else 0):
         after = _distant_node(work, k, 1, YAW_BASE, count)
         if after >= 0 and math.isfinite(_yaw_at(draft, k)) and math.isfinite(_yaw_at(draft, after)):
-            x, y, _ = _chord(work, k, after)
+            x, y = _chord(work, k, after)
             heading_cos = work[k, _WORK.cos] + work[after, _WORK.cos]
             heading_sin = work[k, _WORK.sin] + work[after, _WORK.sin]
             along, across = heading_cos * x + heading_sin * y, heading_cos * y - heading_sin * x
@@ -325,9 +322,8 @@ def _arc_from(draft, k, step, count):
     while 0 <= j + step < count and time < SPAN and (j == k or not is_rest(draft.nodes, j)):
         time += _time_to_next(draft.nodes, min(j, j + step))
         j += step
-    _, _, length = _chord(work, k, j)
     cosine = work[k, _WORK.cos] * work[j, _WORK.cos] + work[k, _WORK.sin] * work[j, _WORK.sin]
-    return time, length * (1.0 + (1.0 - cosine) / 12.0), j
+    return time, _gap(work, k, j) * (1.0 + (1.0 - cosine) / 12.0), j
 
 
 @inlined
@@ -356,12 +352,12 @@ def _write_speeds(draft, arm, count):
     has_speeds, has_curvatures = _is_specified(points, POINT.speed), _is_specified(points, POINT.curvature)
     for k in range(count):
         entry = whole(work[k, _WORK.entry])
-        tangent_cos, tangent_sin = _tangent(work, k, count)
+        before, after = _neighbours(work, k, count)
+        tangent_cos, tangent_sin = _tangent(work, k, before, after, count)
         slip_cos = work[k, _WORK.cos] * tangent_cos + work[k, _WORK.sin] * tangent_sin
         slip_sin = work[k, _WORK.cos] * tangent_sin - work[k, _WORK.sin] * tangent_cos
         if slip_cos < MIN_SLIP_COSINE:
             slip_cos, slip_sin = 1.0, 0.0
-        before, after = _neighbours(work, k, count)
         curvature = _curvature_between(work, k if before < 0 else before, max(k, after))
         if has_curvatures and math.isfinite(points[entry, POINT.curvature]):
             curvature = points[entry, POINT.curvature]
@@ -385,15 +381,13 @@ def _insert_moving_nodes(draft, count):
         added += 1 if _is_stuck(nodes, k) else 0
     total = count + added
     for k in range(count - 2, -1, -1):
-        is_stuck, time, (_, _, way) = _is_stuck(nodes, k), _time_to_next(nodes, k), _chord(draft.work, k, k + 1)
-        for j in range(len(NODE)):
-            nodes[k + 1 + added, j] = nodes[k + 1, j]
-            if is_stuck:
-                nodes[k + added, j] = 0.5 * (nodes[k, j] + nodes[k + 1, j])
+        is_stuck, time = _is_stuck(nodes, k), _time_to_next(nodes, k)
+        nodes[k + 1 + added, :] = nodes[k + 1]
         if is_stuck:
-            nodes[k + added, NODE.arrive] = nodes[k, NODE.leave] + 0.5 * time
-            nodes[k + added, NODE.leave] = nodes[k + added, NODE.arrive]
-            nodes[k + added, NODE.speed] = 2.0 * way / time
+            nodes[k + added, NODE.x] = 0.5 * (nodes[k, NODE.x] + nodes[k + 1, NODE.x])
+            nodes[k + added, NODE.y] = 0.5 * (nodes[k, NODE.y] + nodes[k + 1, NODE.y])
+            nodes[k + added, NODE.arrive] = nodes[k + added, NODE.leave] = nodes[k, NODE.leave] + 0.5 * time
+            nodes[k + added, NODE.speed] = 2.0 * _gap(draft.work, k, k + 1) / time
             added -= 1
     return total
 

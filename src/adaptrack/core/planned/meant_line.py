@@ -67,10 +67,11 @@ def _offset_from_places(x, y, places, memory):
 
 
 @inlined
-def hides_error(x, y, trajectory_offset, elapsed, settings, places, memory):
+def hides_error(x, y, trajectory_offset, elapsed, position_noise, places, memory):
     """Whether the trajectories have hidden an offset of the car at (x, y), in m, for `MIN_HIDDEN_TIME`.
 
-    trajectory_offset: m, of the car from the newest trajectory; elapsed: s, since the trajectory before.
+    trajectory_offset: m, of the car from the newest trajectory; elapsed: s, since the trajectory before;
+    position_noise: m, standard deviation of a measured position.
     """
     meant_offset = _offset_from_places(x, y, places, memory)
     if not math.isfinite(meant_offset + trajectory_offset):
@@ -80,7 +81,7 @@ def hides_error(x, y, trajectory_offset, elapsed, settings, places, memory):
     memory.meant_offset += share * (meant_offset - memory.meant_offset)
     memory.given_offset += share * (abs(trajectory_offset) - memory.given_offset)
     size = abs(memory.meant_offset)
-    is_large = size > max(MIN_HIDDEN_OFFSET, HIDDEN_SIGMAS * settings.position_noise)
+    is_large = size > max(MIN_HIDDEN_OFFSET, HIDDEN_SIGMAS * position_noise)
     is_hidden = is_large and memory.given_offset < MAX_SHOWN_SHARE * size
     memory.hidden = memory.hidden + elapsed if is_hidden else 0.0
     return memory.hidden > MIN_HIDDEN_TIME

@@ -38,7 +38,6 @@ PLANNED_SETTINGS = record("PlannedSettings", (
     Field("clock_offset", "s", float("nan"), "tracker's clock minus planner's clock; unknown: 0 while stamps are in "
           "the accepted range, else the least delay of arrivals", "(-inf, inf)"),
     Field("tracked_arm", "m", 0.0, "from the centre of mass forwards to the tracked point"),
-    Field("position_noise", "m", 0.0, "standard deviation of a measured position"),
     Field("period", "s", 0.05, "control period"),
 ))  # fmt: skip
 """Settings for following a planner."""

@@ -58,8 +58,7 @@ def thin_nodes(nodes, count):
             continue
         if end > 1 and is_needed and way < 0.5 * step and not is_rest(nodes, end - 1):
             end -= 1
-        for i in range(len(NODE)):
-            nodes[end, i] = nodes[j, i]
+        nodes[end, :] = nodes[j]
         end += 1
     return end
 
@@ -121,13 +120,6 @@ def confirmed_agreement_end(car, position_noise, noise, feet, count, old_points,
 
 
 @inlined
-def _smooth_step(s, begin, end):
-    """Share in [0, 1] that rises between two arc lengths (m), with the slope 0 at both."""
-    u = clip((s - begin) / max(end - begin, 1e-9), 0.0, 1.0)
-    return u * u * (3.0 - 2.0 * u)
-
-
-@inlined
 def write_points(nodes, count, feet, until, car, line, old_points, points):
     """Write the points (n, 2) of the old line up to an arc length (m), then the nodes; return the end of the rows.
 
@@ -142,7 +134,8 @@ def write_points(nodes, count, feet, until, car, line, old_points, points):
             if not begin <= s <= until:
                 continue
             offset, segment = interpolate_offset(s, feet, count, segment)
-            offset *= _smooth_step(s, fade, until)
+            share = clip((s - fade) / max(until - fade, 1e-9), 0.0, 1.0)
+            offset *= share * share * (3.0 - 2.0 * share)  # the slope is 0 at both ends
             _, _, heading, _ = point_at(s, line)
             points[end, 0] = old_points[i, 0] - offset * sin(heading)
             points[end, 1] = old_points[i, 1] + offset * cos(heading)

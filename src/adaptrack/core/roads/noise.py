@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import boolean, exported, float64, inlined, local, matrix, shaped, vector
+from ..kernel import boolean, columns, exported, float64, inlined, local, matrix, shaped, vector
 from ..maths.bits import whole
 from ..maths.exact import sqrt, square
 from ..maths.exponential import hypot, power
@@ -35,19 +35,35 @@ MAX_RADIUS, ROUNDS = 60.0, 4
 """Steps; fits, each with radii that suit the curve of the fit before."""
 BANDS = 7
 """Of the equations, with the diagonal."""
+_DIFFERENCE = columns("step", "x", "y", "factors", "factor_1", "factor_2", "factor_3")
+SMOOTHING_WORDS = 4 + len(_DIFFERENCE) + BANDS + 2
+"""Numbers for each point that `smooth_points` needs."""
 
-_four, _seven = local(4), local(7)
+_three, _six, _seven = local(3), local(6), local(7)
 
 
 @inlined
-def _difference(points, first, factors):
-    """Write the factors of the divided difference of points in a row; their mean step (m), and the difference."""
-    count, last, places, x, y = len(points), factors.size - 1, _seven(), 0.0, 0.0
+def index_on_lap(number, count):
+    """Index of a point of a lap of `count` points, for a number from -count to 2 count - 1."""
+    return number + count if number < 0 else number - count if number >= count else number
+
+
+@inlined
+def _difference(points, first, steps, factors):
+    """Write the factors of the divided difference of points in a row; their mean step (m), and the difference.
+
+    steps: m, from each of these points to the next, of the call for the point before; they are updated.
+    """
+    count, last, places, x, y = len(points), steps.size, _seven(), 0.0, 0.0
     for j in range(last):
-        k, after = (first + j) % count, (first + j + 1) % count
-        places[j + 1] = places[j] + hypot(points[after, 0] - points[k, 0], points[after, 1] - points[k, 1])
+        k, after = index_on_lap(first + j, count), index_on_lap(first + j + 1, count)
+        if first > 0 and j < last - 1:
+            steps[j] = steps[j + 1]
+        else:
+            steps[j] = hypot(points[after, 0] - points[k, 0], points[after, 1] - points[k, 1])
+        places[j + 1] = places[j] + steps[j]
     for j in range(last + 1):
-        k, factors[j] = (first + j) % count, 1.0
+        k, factors[j] = index_on_lap(first + j, count), 1.0
         for i in range(last + 1):
             factors[j] /= places[j] - places[i] if i != j else 1.0
         x += factors[j] * (points[k, 0] - points[first, 0])
@@ -61,12 +77,12 @@ def noise_of(points, closed, differences):
 
     0 for few points, for what is no noise but a curve, and for noise that the curvature hardly has. differences: (n,).
     """
-    count, factors = len(points), _seven()
-    rows = count if closed else count - factors.size + 1
+    count, steps, factors = len(points), _six(), _seven()
+    rows = count if closed else count - steps.size
     products = squares = length = before = low = high = 0.0
     for k in range(rows if count >= MIN_NOISY_POINTS else 0):
-        step, dx, dy = _difference(points, k, factors)
-        end, size = (k + factors.size - 1) % count, 0.0
+        step, dx, dy = _difference(points, k, steps, factors)
+        end, size = index_on_lap(k + steps.size, count), 0.0
         for j in range(factors.size):
             size += square(factors[j])
         tx, ty = points[end, 0] - points[k, 0], points[end, 1] - points[k, 1]
@@ -91,22 +107,29 @@ def _row_of(k, count):
 
 
 @inlined
-def _solve(equations):
-    """Solve symmetric equations by Cholesky's factors: bands (n, BANDS) from the diagonal down, then right sides."""
+def _solve(equations, first_coupled):
+    """Solve symmetric equations by Cholesky's factors: bands (n, BANDS) from the diagonal down, then right sides.
+
+    Rows before `first_coupled` have entries in every second band alone: those of points from both ends of a line.
+    """
     for i in range(len(equations)):
-        for d in range(min(BANDS - 1, i), -1, -1):
+        stride, reach = 2 if i < first_coupled else 1, min(BANDS - 1, i)
+        for j in range(reach // stride, -1, -1):
+            d = j * stride
             entry = equations[i, d]
-            for k in range(d + 1, min(BANDS - 1, i) + 1):
+            for k in range(d + stride, reach + 1, stride):
                 entry -= equations[i, k] * equations[i - d, k - d]
             equations[i, d] = entry / equations[i - d, 0] if d > 0 else sqrt(entry)
         for column in range(BANDS, BANDS + 2):
-            for d in range(1, min(BANDS - 1, i) + 1):
-                equations[i, column] -= equations[i, d] * equations[i - d, column]
-            equations[i, column] /= equations[i, 0]
+            entry = equations[i, column]
+            for d in range(stride, reach + 1, stride):
+                entry -= equations[i, d] * equations[i - d, column]
+            equations[i, column] = entry / equations[i, 0]
     for i in range(len(equations) - 1, -1, -1):
+        stride, reach = 2 if i < first_coupled else 1, min(BANDS - 1, i)
         for column in range(BANDS, BANDS + 2):
             equations[i, column] /= equations[i, 0]
-            for d in range(1, min(BANDS - 1, i) + 1):
+            for d in range(stride, reach + 1, stride):
                 equations[i - d, column] -= equations[i, d] * equations[i, column]
 
 
@@ -124,22 +147,25 @@ def _maximum(values):
 
 @inlined
 def smooth_points(points, closed, noise, memory):
-    """Smooth points (n, columns) of x, y (m) with some noise (m). memory: 13 numbers for each point."""
-    count, factors = len(points), _four()
-    rows = count if closed else count - 3
+    """Smooth points (n, columns) of x, y (m) with some noise (m). memory: `SMOOTHING_WORDS` numbers for each point."""
+    count, steps = len(points), _three()
+    rows = count if closed else count - steps.size
     x, y = memory[:count], memory[count : 2 * count]  # m, of the points less the smooth ones
     sharpness, radius = memory[2 * count : 3 * count], memory[3 * count : 4 * count]
-    equations = shaped(memory[4 * count : (BANDS + 6) * count], count, BANDS + 2)
+    differences = shaped(memory[4 * count : (4 + len(_DIFFERENCE)) * count], count, len(_DIFFERENCE))
+    equations = shaped(memory[(4 + len(_DIFFERENCE)) * count : SMOOTHING_WORDS * count], count, BANDS + 2)
     x[:], y[:], radius[:] = 0.0, 0.0, 0.0
     for fit in range(ROUNDS):
         equations[:] = 0.0
         equations[:, 0] = 1.0
-        sharpness[:] = 0.0
-        for k in range(rows if fit > 0 else 0):
-            _, dx, dy = _difference(points, k, factors)
-            sharpness[k] = 6.0 * hypot(dx, dy)
         for k in range(rows):
-            step, dx, dy = _difference(points, k, factors)
+            difference = differences[k]
+            step, dx, dy = _difference(points, k, steps, difference[_DIFFERENCE.factors :])
+            difference[_DIFFERENCE.step], difference[_DIFFERENCE.x], difference[_DIFFERENCE.y] = step, dx, dy
+            sharpness[k] = 6.0 * hypot(dx, dy) if fit > 0 else 0.0
+        for k in range(rows):
+            step, factors = differences[k, _DIFFERENCE.step], differences[k, _DIFFERENCE.factors :]
+            dx, dy = differences[k, _DIFFERENCE.x], differences[k, _DIFFERENCE.y]
             near, sharpest = math.pi * radius[k], MIN_THIRD_DERIVATIVE
             reach = whole(near / step) if near < rows * step else rows
             if closed:
@@ -149,19 +175,21 @@ def smooth_points(points, closed, noise, memory):
                 sharpest = max(sharpest, _maximum(sharpness[max(k - reach, 0) : min(k + reach + 1, rows)]))
             spread = noise * sqrt(step)
             amplitude, share = sqrt(AMPLITUDE * spread) / sharpest, spread / (sqrt(18.0) * SHARE * sharpest)
-            radius[k] = min(max(power(amplitude, 1.0 / 3.0), power(share, 2.0 / 7.0)), MAX_RADIUS * step)
+            is_longer = spread < 1.0 and share * square(share) < 0.999 * amplitude * square(amplitude) * sqrt(amplitude)
+            longest = power(amplitude, 1.0 / 3.0)
+            radius[k] = min(longest if is_longer else max(longest, power(share, 2.0 / 7.0)), MAX_RADIUS * step)
             weight = square(6.0 * radius[k] * square(radius[k]))
             for i in range(factors.size):
-                point = (k + i) % count
+                point = index_on_lap(k + i, count)
                 dx, dy = dx + factors[i] * x[point], dy + factors[i] * y[point]
             for i in range(factors.size):
-                row = _row_of((k + i) % count, count)
+                row = _row_of(index_on_lap(k + i, count), count)
                 equations[row, BANDS] += weight * factors[i] * dx
                 equations[row, BANDS + 1] += weight * factors[i] * dy
                 for j in range(i + 1):
-                    other = _row_of((k + j) % count, count)
+                    other = _row_of(index_on_lap(k + j, count), count)
                     equations[max(row, other), abs(row - other)] += weight * factors[i] * factors[j]
-        _solve(equations)
+        _solve(equations, 0 if closed else count - BANDS + 1)
         for k in range(count):
             row = _row_of(k, count)
             points[k, 0] += x[k] - equations[row, BANDS]

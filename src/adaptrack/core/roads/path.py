@@ -41,7 +41,7 @@ from ..maths.exact import ceil, floor, sqrt
 from ..maths.exponential import hypot
 from ..maths.trigonometric import arctangent_of_ratio, atan2
 from . import road
-from .noise import noise_of, smooth_points
+from .noise import index_on_lap, noise_of, smooth_points
 
 TOO_FEW, POINT_NOT_FINITE, POINT_TOO_FAR, TOO_SHORT, PATH_KINK, TOO_SMALL = range(1, 7)
 """Statuses of `path_through`: a path; fewer points than `MIN_PATH_POINTS` apart from each other; a number that is not
@@ -72,7 +72,7 @@ KINK_HALVINGS = 12
 JOINT = 1e-6
 """rad, the largest jump of the heading between two pieces, which rounding leaves."""
 NEWTON = 7
-"""Steps; each squares the error, which begins within 1."""
+"""Most steps; each squares the error, which begins within 1. An odd number, see `_write_places`."""
 
 NODES = road.POLYNOMIAL_DEGREE + 1
 _GRID = 2**20
@@ -187,12 +187,6 @@ def _group(points, first, last, before):
 
 
 @inlined
-def _cyclic(number, count):
-    """A number of a point or group, -count to 2 count - 1, as that of one of `count` in a ring."""
-    return number + count if number < 0 else number - count if number >= count else number
-
-
-@inlined
 def _miss(x, y, t, base, point_x, point_y):
     """The distance (m) of a point from the cubic through four points at t (m), positive to the left of the step from
     the point `base` to the next; and the product of the distances (m^2) from both, along that step.
@@ -220,7 +214,7 @@ def _place_in_group(points, rows, k, window, begin, end, first_choice):
     x, y, t, j = _four(), _four(), _four(), 0
     for group in range(window, window + 5):
         if group != k:
-            row = _cyclic(whole(rows[_cyclic(group, rows.size)]), len(points))
+            row = index_on_lap(whole(rows[index_on_lap(group, rows.size)]), len(points))
             x[j], y[j] = points[row, 0], points[row, 1]
             t[j] = t[j - 1] + hypot(x[j] - x[j - 1], y[j] - y[j - 1]) if j > 0 else 0.0
             j += 1
@@ -231,7 +225,7 @@ def _place_in_group(points, rows, k, window, begin, end, first_choice):
         return place
     least = 0.5 * abs(least)  # a curve that bends too much for four points misses all of a group alike
     for row in range(begin, end + 1):
-        point = _cyclic(row, len(points))
+        point = index_on_lap(row, len(points))
         miss, product = _miss(x, y, t, base, points[point, 0], points[point, 1])
         if row > begin and miss * before < 0.0:
             return row - 1 + before / (before - miss)
@@ -351,10 +345,10 @@ def _value(coefficients, u):
 def _interpolate(values, coefficients):
     """Write the coefficients of the polynomial through values at the nodes."""
     for j in range(NODES):
-        coefficients[j] = 0.0
-    for k in range(NODES):
-        for j in range(NODES):
-            coefficients[j] += values[k] * _BASIS[k, j]
+        coefficient = 0.0
+        for k in range(NODES):
+            coefficient += values[k] * _BASIS[k, j]
+        coefficients[j] = coefficient
 
 
 @inlined
@@ -363,7 +357,7 @@ def _write_places(x, y, z):
 
     Half of its length (m), and the largest error of that length (m), which counts Newton's last step in.
     """
-    speed, rate, step = _at_places(), _of_nodes(), _at_places()
+    speed, rate, step, earlier = _at_places(), _of_nodes(), _at_places(), _at_places()
     for k in range(_COUNT):
         u = _PLACES[k]
         dx, dy = x[0] + u * (x[1] + u * x[2]), y[0] + u * (y[1] + u * y[2])
@@ -377,7 +371,14 @@ def _write_places(x, y, z):
         even = k % 2 == 0
         half += rate[k] / (k + 1) if even else 0.0
         middle += 0.0 if even else rate[k] / (k + 1)
-    for _ in range(NEWTON):
+    for n in range(NEWTON):
+        if n % 2 == 1:  # an even number of steps before the last one: it repeats the places of two steps ago
+            k = 0
+            while k < _COUNT and z[k] == earlier[k]:
+                k += 1
+            if k == _COUNT:
+                break
+            earlier[:] = z
         for k in range(_COUNT):
             way = slope = 0.0
             for j in range(road.POLYNOMIAL_DEGREE, -1, -1):
@@ -555,7 +556,7 @@ def _write_points(points, rows, path_points):
     """Write the points (n, 2) at some numbers (`points_apart`), and these numbers, to the rows of `path_points`."""
     for k in range(len(path_points)):
         number = whole(floor(rows[k]))
-        share, row = rows[k] - number, _cyclic(number, len(points))
+        share, row = rows[k] - number, index_on_lap(number, len(points))
         path_points[k, 0], path_points[k, 1], path_points[k, 2] = points[row, 0], points[row, 1], row
         if share > 0.0:
             x, y = _step(points, row)

@@ -10,7 +10,7 @@ import math
 
 from ..controllers.contract import wrapped
 from ..input_check.hypotheses import MISTAKES
-from ..input_check.record import memory_of, report
+from ..input_check.record import memory_of, report, settings_of
 from ..kernel import (
     OK,
     Place,
@@ -28,7 +28,6 @@ from ..kernel import (
     void,
 )
 from ..maths.exact import clip, square
-from ..maths.exponential import hypot
 from ..physics.forces import GRAVITY
 from ..planned import clock, splice
 from ..planned.condition import condition, is_rest
@@ -46,9 +45,9 @@ LINE_FLAW = 100
 """Added to a status of `roads.path.path_through`: no line can be fitted to the nodes."""
 MIN_NODE_SPEED, MIN_PLACE_STEP = 0.1, 1e-3
 """m/s, m: least speed at a node that is no rest; least distance of two places of the speeds."""
-LONGEST_WAIT, LENGTH_ROOM, SMOOTHING_WORDS = 0.5, 100.0, 14
-"""s, m, -: longest time over which the car is extrapolated to the arrival of a trajectory; by how much a line may be
-longer than its trajectory; numbers that smoothing needs for each node."""
+LONGEST_WAIT, LENGTH_ROOM = 0.5, 100.0
+"""s, m: longest time over which the car is extrapolated to the arrival of a trajectory; by how much a line may be
+longer than its trajectory."""
 MAX_REFERENCE_OFFSET = 1.0
 """m: the reference moves at once to a line that is farther from the line before."""
 FIT_OFFSET, FIT_ANGLE, FIT_TIME = 1.0, math.radians(10.0), 1.0
@@ -73,28 +72,19 @@ and of stops; where the columns of the speeds begin, `room` numbers each; where 
 Buffers = record(
     "Buffers",
     (
-        ("points", matrix), ("nodes", matrix), ("feet", matrix), ("speeds", PlannedSpeeds), ("stops", vector),
-        ("path", vector),
+        ("points", matrix), ("nodes", matrix), ("feet", matrix), ("path_feet", matrix), ("speeds", PlannedSpeeds),
+        ("stops", vector), ("path", vector),
     ),
 )  # fmt: skip
-"""Parts of a buffer: points of a line, nodes and their feet on the line before, speeds, stops (m), and a path."""
+"""Parts of a buffer: points of a line, nodes, feet on the line before and on the path, speeds, stops (m), a path."""
+_SPEEDS_AT, _STOPS_AT, _PATH_AT = 12, 16, 17
+"""Columns before these parts."""
 
 
 @inlined
-def _capacities(count, old_count):
-    """Capacity for points, nodes and places of speeds, of `count` planned points and `old_count` of the line before."""
-    nodes = 2 * count + 2
-    return splice.FRONT_ROOM + old_count + nodes, nodes, nodes + 2
-
-
-@inlined
-def _offsets(count, old_count):
-    """Positions in a buffer at which nodes, feet, speeds, stops and path begin; points are at its beginning."""
-    points, nodes, places = _capacities(count, old_count)
-    feet_at = 3 * points + len(NODE) * nodes
-    speeds_at = feet_at + 2 * nodes
-    stops_at = speeds_at + 4 * places
-    return 3 * points, feet_at, speeds_at, stops_at, stops_at + places
+def _room_for(count, old_count):
+    """Rows of each part of a buffer, for `count` planned points and `old_count` of the line before."""
+    return splice.FRONT_ROOM + old_count + 2 * count + 2
 
 
 @exported(int64(int64, int64, float64))
@@ -103,22 +93,20 @@ def trajectory_words(count, old_count, length):
 
     old_count: number of points of the followed line.
     """
-    points, nodes, _ = _capacities(count, old_count)
-    _, _, _, _, path_at = _offsets(count, old_count)
-    line = words_of(points + points // 4 + 16, cells_of(length + LENGTH_ROOM)) + PATH_SCRATCH * points
-    return path_at + max(line, SMOOTHING_WORDS * nodes)
+    room = _room_for(count, old_count)
+    return _PATH_AT * room + words_of(room + room // 4 + 16, cells_of(length + LENGTH_ROOM)) + PATH_SCRATCH * room
 
 
 @inlined
-def _buffers_in(buffer, count, old_count):
+def _buffers_in(buffer, room):
     """Return the parts of a buffer."""
-    points, nodes, places = _capacities(count, old_count)
-    nodes_at, feet_at, speeds_at, stops_at, path_at = _offsets(count, old_count)
-    speeds = shaped(buffer[speeds_at:stops_at], 4, places)
+    points, nodes = shaped(buffer[: 3 * room], room, 3), shaped(buffer[3 * room : 8 * room], room, len(NODE))
+    feet, path_feet = buffer[8 * room : 10 * room], buffer[10 * room : _SPEEDS_AT * room]
+    speeds = shaped(buffer[_SPEEDS_AT * room : _STOPS_AT * room], 4, room)
     return Buffers(
-        shaped(buffer[:nodes_at], points, 3), shaped(buffer[nodes_at:feet_at], nodes, len(NODE)),
-        shaped(buffer[feet_at:speeds_at], nodes, 2), PlannedSpeeds(speeds[0], speeds[1], speeds[2], speeds[3]),
-        buffer[stops_at:path_at], buffer[path_at:],
+        points, nodes, shaped(feet, room, 2), shaped(path_feet, room, 2),
+        PlannedSpeeds(speeds[0], speeds[1], speeds[2], speeds[3]),
+        buffer[_STOPS_AT * room : _PATH_AT * room], buffer[_PATH_AT * room :],
     )  # fmt: skip
 
 
@@ -188,42 +176,37 @@ def _write_line(arrival, car, count, buffers, tracker):
 
     Return `OK` or a status with `LINE_FLAW`, and the numbers of nodes and points.
     """
-    planned, nodes, feet, points, until = tracker.planned, buffers.nodes, buffers.feet, buffers.points, -math.inf
-    noise = noise_of(nodes[:count], False, buffers.path)
+    planned, nodes, points, until = tracker.planned, buffers.nodes, buffers.points, -math.inf
+    feet, path_feet, noise = buffers.feet, buffers.path_feet, noise_of(nodes[:count], False, buffers.path)
     if noise > 0.0:
         smooth_points(nodes[:count], False, noise, buffers.path)
     count = splice.thin_nodes(nodes, count)
     if car.station == car.station:
         splice.project_nodes(nodes, count, car.station, pose.line(tracker), feet)
         if arrival.role == PLANNER and arrival.is_urgent == 0:
-            sigma, memory = planned.settings[0].position_noise, planned.memory[0]
-            until = splice.confirmed_agreement_end(car, sigma, noise, feet, count, planned.points, memory)
+            sigma = settings_of(tracker.check.settings, 0).position_noise
+            until = splice.confirmed_agreement_end(car, sigma, noise, feet, count, planned.points, planned.memory[0])
     end = splice.write_points(nodes, count, feet, until, car, pose.line(tracker), planned.points, points)
     first = splice.prepend_points(car, nodes, end, points)
     flaw, _ = path_through(points[first:end], False, 0.0, buffers.path)
     if flaw != OK:
         return LINE_FLAW + flaw, count, 0
     line, _ = line_in(buffers.path)
-    s = 0.0
+    splice.project_nodes(points[first:end], end - first, 0.0, line, path_feet)
     for k in range(end - first):
-        x, y = points[first + k, 0], points[first + k, 1]
-        if k > 0:
-            s += hypot(x - points[k - 1, 0], y - points[k - 1, 1])
-        s, _, _, _ = foot_near(x, y, s, line)
-        points[k, 0], points[k, 1], points[k, 2] = x, y, s
+        points[k, 0], points[k, 1], points[k, 2] = points[first + k, 0], points[first + k, 1], path_feet[k, 0]
     return OK, count, end - first
 
 
 @inlined
-def _write_speeds(nodes, count, line, speeds, stops):
+def _write_speeds(count, line, buffers):
     """Write speeds and times of nodes along their line, and the stops (m); return the numbers of places and stops."""
-    k, s, length, stop_count = -1, 0.0, line.numbers[LENGTH], 0
+    nodes, speeds, stops, feet = buffers.nodes, buffers.speeds, buffers.stops, buffers.path_feet
+    k, length, stop_count = -1, line.numbers[LENGTH], 0
+    splice.project_nodes(nodes, count, 0.0, line, feet)
     for j in range(count):
-        node = nodes[j]
-        if j > 0:
-            s += hypot(node[NODE.x] - nodes[j - 1, NODE.x], node[NODE.y] - nodes[j - 1, NODE.y])
-        s, _, _, _ = foot_near(node[NODE.x], node[NODE.y], s, line)
-        place, speed = length if j == count - 1 else clip(s, 0.0, length), max(node[NODE.speed], MIN_NODE_SPEED)
+        node, place = nodes[j], length if j == count - 1 else clip(feet[j, 0], 0.0, length)
+        speed = max(node[NODE.speed], MIN_NODE_SPEED)
         if j == 0 and place > MIN_PLACE_STEP:  # the line begins behind the trajectory
             speeds.s[0], speeds.speed[0] = 0.0, speed
             speeds.arrive[0] = speeds.leave[0] = node[NODE.arrive] - place / speed
@@ -265,11 +248,11 @@ def _checksum_of(points):
 def _watch_meant_line(arrival, car, count, buffers, tracker):
     """Report a planner that hides the error of the controller, and store a place of this trajectory."""
     planned, nodes, feet = tracker.planned, buffers.nodes, buffers.feet
-    settings, memory = planned.settings[0], planned.memory[0]
+    memory, sigma = planned.memory[0], settings_of(tracker.check.settings, 0).position_noise
     if car.station == car.station and count > 1:
         elapsed = clip(arrival.time - memory.arrival, 0.0, 1.0)
         line_offset, _ = splice.interpolate_offset(car.station, feet, count, 0)
-        if hides_error(car.x, car.y, tracker.memory[0].offset - line_offset, elapsed, settings, planned.far, memory):
+        if hides_error(car.x, car.y, tracker.memory[0].offset - line_offset, elapsed, sigma, planned.far, memory):
             report(memory_of(tracker.check.memory, 0), MISTAKES.plan_begins_at_car, abs(memory.meant_offset), 0.0, 0.0)
     time_ahead = min(FAR_TIME, FAR_SHARE * (nodes[count - 1, NODE.arrive] - arrival.time))
     if time_ahead > 0.0:
@@ -299,8 +282,9 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
         if memory.driven_by == PLANNER and checksum == memory.checksum:
             memory.stamp, memory.arrival = max(memory.stamp, arrival.stamp), arrival.time
             return clock.VERDICT.same, OK, 0
-    buffers = _buffers_in(buffer, len(points), len(planned.points))
-    nodes, speeds = buffers.nodes, buffers.speeds
+    room = _room_for(len(points), len(planned.points))
+    buffers = _buffers_in(buffer, room)
+    nodes = buffers.nodes
     status, entry, count = condition(points, settings.tracked_arm, begins, nodes)
     if count == 0:
         return clock.VERDICT.taken, status, entry
@@ -314,16 +298,15 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
     if not is_fallback and _must_wait(arrival, car, nodes, line, settings, memory):
         memory.stamp, memory.arrival = arrival.stamp, arrival.time
         return clock.VERDICT.waiting, OK, 0
-    place_count, stop_count = _write_speeds(nodes, count, line, speeds, buffers.stops)
+    place_count, stop_count = _write_speeds(count, line, buffers)
     if is_fallback:
-        _shift_times(arrival.time, _nearest_station(car, line), place_count, speeds)
+        _shift_times(arrival.time, _nearest_station(car, line), place_count, buffers.speeds)
     else:
         _watch_meant_line(arrival, car, count, buffers, tracker)
         memory.stamp, memory.arrival, memory.checksum = arrival.stamp, arrival.time, checksum
     parts[PARTS.points], parts[PARTS.speeds], parts[PARTS.stops] = point_count, place_count, stop_count
-    _, _, speeds_at, stops_at, path_at = _offsets(len(points), len(planned.points))
-    parts[PARTS.speeds_at], parts[PARTS.stops_at], parts[PARTS.path_at] = speeds_at, stops_at, path_at
-    parts[PARTS.room] = speeds.s.size
+    parts[PARTS.speeds_at], parts[PARTS.stops_at] = _SPEEDS_AT * room, _STOPS_AT * room
+    parts[PARTS.path_at], parts[PARTS.room] = _PATH_AT * room, room
     return clock.VERDICT.taken, status, entry
 
 
