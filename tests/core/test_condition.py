@@ -197,6 +197,14 @@ def test_creeping_is_driven_and_standing_is_a_rest():
     assert standing[0, NODE.arrive :].tolist() == [0.0, math.inf, 0.0]
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.01, 0.03, -0.04])
+def test_a_rest_may_be_stated_by_two_points(gap):
+    """As of a planner whose points are sparse, or lie apart by its noise."""
+    nodes = nodes_of([0.0, 1.0, 2.0, 4.8, 5.8], [0.0, 5.0, 10.0, 10.0 + gap, 15.0], [0.0] * 5)
+    (row,) = np.flatnonzero(nodes[:, NODE.leave] > nodes[:, NODE.arrive])
+    assert nodes[row, NODE.arrive :].tolist() == [2.0, 4.8, 0.0]
+
+
 def test_noise_of_1_cm_hardly_makes_rests_of_creeping():
     """At 0.15 m/s in at most 5 of 100 drives."""
     t, count = np.arange(0.0, 8.0, 0.1), 0

@@ -108,11 +108,14 @@ def _find_rest(points, first, count):
     """Return the indices of the entries that begin a rest, are its place, and end it; all `first`: no rest.
 
     The place is the entry at half the time within `MERGING_DISTANCE` of the first entry. The rest lasts from the first
-    to the last entry whose distance from the place is at most the mean.
+    to the last entry whose distance from the place is at most the mean; if that is one entry, as long as the car
+    is near, unless the way from point to point is too long for a rest.
     """
-    begin, middle, end, radius = first, first, first, 0.0
-    while end + 1 < count and _gap(points, first, end + 1) <= MERGING_DISTANCE:
-        end += 1
+    begin, middle, last, radius, way = first, first, first, 0.0, 0.0
+    while last + 1 < count and _gap(points, first, last + 1) <= MERGING_DISTANCE:
+        way += _gap(points, last, last + 1)
+        last += 1
+    end = last
     while points[middle, POINT.t] - points[begin, POINT.t] < points[end, POINT.t] - points[middle, POINT.t]:
         middle += 1
     for _ in range(2):
@@ -123,6 +126,8 @@ def _find_rest(points, first, count):
             begin += 1
         while end > middle and _gap(points, middle, end) > radius:
             end -= 1
+    if begin == end:
+        begin, end, radius = first, last, 0.5 * way
     time = points[end, POINT.t] - points[begin, POINT.t]
     if time < MIN_REST or 2.0 * radius > REST_SPEED * time:
         return first, first, first
