@@ -26,6 +26,9 @@ LEAST_RATIO_SIGMA, LEAST_DELAY_SIGMA, DELAY_TIME = 0.07, 0.04, 0.25
 """-, s, s: least standard deviations of learned actuators; time for which an error of the delay lasts."""
 LEAST_SPEED_SIGMA, NOISE_TIME = 0.025, 4.0
 """m/s, s: least standard deviation of a measured speed, and the time constant of its estimate."""
+USUAL_RELATIVE_SIGMA, MAX_RELATIVE_SIGMA, LEAST_RELATIVE_SPEED = 0.01, 0.02, 1.0
+"""-, -, m/s: usual and largest standard deviation of a measured speed, as a share of the speed, estimated above this
+speed."""
 LEAST_LOSS, LEAST_STUCK_PULL, LARGEST_PULL, REGAINED_SHARE = 0.4, 2.0, 8.0, 0.7
 """-, m/s^2, m/s^2, -: sizes of faults: shares of the brake force lost, pull; share of the loss that ends."""
 SUSPICION, BRAKE_EVIDENCE, PULL_EVIDENCE, DOUBT = 3.0, 9.0, 12.0, 1.0
@@ -110,15 +113,28 @@ def _test(match, energy, least, largest):
 
 @inlined
 def _measure_noise(speed, period, memory):
-    """Estimate the variance of measured speeds from their second differences."""
+    """Estimate the variance of measured speeds from their second differences, and that relative to the speed."""
     if memory.speed_variance <= 0.0:
         memory.speed_variance = square(SPEED_NOISE + SPEED_NOISE_SHARE * speed)
+        memory.relative_variance = square(USUAL_RELATIVE_SIGMA)
         memory.last_speed, memory.last_change = speed, 0.0
-    change = speed - memory.last_speed
+    change, share = speed - memory.last_speed, period / NOISE_TIME
     variance = square(change - memory.last_change) / 6.0
-    memory.speed_variance += (variance - memory.speed_variance) * period / NOISE_TIME
+    memory.speed_variance += (variance - memory.speed_variance) * share
     memory.speed_variance = max(memory.speed_variance, square(LEAST_SPEED_SIGMA))
+    if speed > LEAST_RELATIVE_SPEED:
+        memory.relative_variance += (variance / square(speed) - memory.relative_variance) * share
     memory.last_speed, memory.last_change = speed, change
+
+
+@inlined
+def _speed_variance(speed, memory):
+    """Variance of a measured speed (m/s).
+
+    The noise of wheels grows with the speed: while a car accelerates, an estimate of its variance alone would lag.
+    """
+    relative_variance = min(memory.relative_variance, square(MAX_RELATIVE_SIGMA))
+    return max(memory.speed_variance, relative_variance * square(speed))
 
 
 @inlined
@@ -159,7 +175,7 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
     v_v += (square(late) + square(late_drive)) * period * DELAY_TIME + square(SPEED_DRIFT) * period
     memory.driving_before, memory.braking_before = drive.acting, brakes.acting
     # correction
-    spread = v_v + memory.speed_variance
+    spread = v_v + _speed_variance(speed, memory)
     bound = INNOVATION_BOUND * sqrt(spread)
     e = clip(speed - v, -bound, bound)
     k_v, k_d, k_r = v_v / spread, v_d / spread, v_r / spread

@@ -135,6 +135,7 @@ SPEED_MEMORY = record(
         "watched_speed", "watched_disturbance", "watched_rate",  # m/s, m/s^2, m/s^3: of a healthy car, and covariance:
         "p_watched", "p_watched_disturbance", "p_watched_rate", "p_disturbance", "p_disturbance_rate", "p_rate",
         "speed_variance", "last_speed", "last_change",  # m^2/s^2, m/s, m/s: of measured speeds
+        "relative_variance",  # of measured speeds over their square
         "loss_speed", "loss_disturbance", "loss_rate", "loss_match", "loss_energy", "loss_evidence",
         "pull_speed", "pull_disturbance", "pull_rate", "pull_match", "pull_energy", "pull_evidence",
         "braking_before", "driving_before", "brake_ratio", "brake_ratio_sigma",
