@@ -573,6 +573,21 @@ def test_a_plan_that_is_replaced_on_the_way_to_a_stop_changes_neither_place_nor_
     assert places(replaces=True) == pytest.approx(original, abs=0.1)
 
 
+@pytest.mark.parametrize("share", [0.01, 0.015])
+def test_noise_that_grows_with_the_speed_is_no_fault_of_a_car_that_leaves_stops(share) -> None:
+    """Ten drives with four stops of 8 s each, and noise of the speed in proportion to it."""
+    stops = [Stop(s, 8.0) for s in (100.0, 250.0, 400.0, 550.0)]
+    for seed in range(10):
+        controller = _controller(700.0, stops=stops, top_speed=15.0)
+        car = PointMass(15.0, CAR.mass, DriveActuator(lag=0.25, dead_time=0.1), BrakeActuator(lag=0.1, dead_time=0.1))
+        noise, limits = np.random.default_rng(seed), set()
+        while car.s < 650.0 and not limits & {SpeedLimit.BRAKE_FAULT, SpeedLimit.DRIVE_FAULT}:
+            request = controller.step(car.s, car.v * (1.0 + share * noise.standard_normal()), 0.0)
+            car.move(request.force, request.hold)
+            limits.add(request.limited_by)
+        assert car.s >= 650.0, seed
+
+
 @pytest.mark.parametrize("grade", [-0.05, 0.05])
 def test_a_grade_that_is_wrong_by_5_percent_is_absorbed(grade) -> None:
     controller = _controller(600.0, top_speed=14.0)
