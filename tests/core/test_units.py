@@ -102,18 +102,18 @@ def test_a_unit_follows_trajectories_and_its_fallback_as_a_tracker_does_to_the_b
             values[first : first + numbers.size] = numbers
 
     for k in range(24):
-        now, x, y = 0.05 * k, 0.4 * k, 0.2 if k < 4 else 0.1
+        time, x, y = 0.05 * k, 0.4 * k, 0.2 if k < 4 else 0.1
         if k < 8 and k % 2 == 0:
-            plan = at.PlannedTrajectory(t, x + 8.0 * t, 0.02 * (x + 8.0 * t) ** 2 / 10.0, stamp=now + (k == 6))
-            rest = at.PlannedTrajectory(t, x + 8.0 * t - 8.0 * t**2 / 7.0, 0.0 * t)
+            plan = at.PlannedTrajectory(t, x + 8.0 * t, 0.02 * (x + 8.0 * t) ** 2 / 10.0, stamp=time + (k == 6))
+            stop = at.PlannedTrajectory(t, x + 8.0 * t - 8.0 * t**2 / 7.0, 0.0 * t)
             write("trajectory", plan)
-            write("fallback", rest)
+            write("fallback", stop)
             values[places["trajectory_number"]], values[places["trajectory_stamp"]] = k + 1, plan.stamp
-            verdicts.append(tracker.follow(plan, fallback=rest, now=now))
+            verdicts.append(tracker.follow(plan, fallback=stop, now=time))
         for name, value in (("x", x), ("y", y), ("yaw", 0.01 * k), ("speed", 8.0), ("yaw_rate", 0.2)):
             values[places[name]] = value
         assert follower.follower_step(record) == contract.OK
-        answer = tracker.step(now, x, y, 0.01 * k, 8.0, 0.2, now=now)
+        answer = tracker.step(time, x, y, 0.01 * k, 8.0, 0.2, now=time)
         ours = [answer.command, answer.offset, answer.station, answer.target_speed, answer.late]
         theirs = [values[places[name]] for name in ("command", "offset", "station", "target_speed", "late")]
         assert np.array_equal(ours, theirs)

@@ -710,7 +710,7 @@ def _aim(sample, index, way, stop_braking, top_square, resistance, period, setti
 
 
 @inlined
-def _rest(period, settings, memory):
+def _come_to_rest(period, settings, memory):
     """Come to rest at once, and stand: the place of rest is where the trajectory begins."""
     memory.speed_state, memory.limited_by = STOPPING, BY_STOP
     if memory.is_starting > 0 or _stands(memory):
@@ -735,7 +735,7 @@ def _follow(sample, index, way, top_square, period, settings, path, memory, bank
     rolls_back = memory.travelled < stops.ARRIVAL_WAY and _moved(memory) < 0
     is_at_start = memory.is_starting > 0 or memory.speed < STANDING_SPEED or rolls_back
     if way > stops.STOP_TOLERANCE and learning.SETTLING_TIME < sample.rest_time < math.inf:
-        _rest(period, settings, memory)
+        _come_to_rest(period, settings, memory)
         return
     if is_at_start and _start(sample, way, period, settings, memory):
         memory.speed_state, memory.limited_by = DRIVING, BY_PLAN
