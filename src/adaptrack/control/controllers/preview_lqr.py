@@ -121,7 +121,7 @@ def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: Array
     """
     n, Q, P, K = B.shape[-1], np.zeros(A.shape), np.empty(A.shape), np.empty(B.shape)
     Q[..., 1, 1], Q[..., -1, -1] = q_heading, q_e
-    work = np.empty(7 * n * n)
+    work = np.empty(6 * n * n)
     with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
         for i in np.ndindex(B.shape[:-1]):
             if laws.riccati(A[i], B[i], Q[i], P[i], work) == 0:
