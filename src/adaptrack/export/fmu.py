@@ -112,8 +112,8 @@ def write_fmu(
 ) -> Path:
     """Write a unit as an FMU; its path. platforms: as of `export_fmu`.
 
-    Raises InvalidInput when the unit holds a function that is none of the package's, or a binary cannot be compiled,
-    and StorageError when the file cannot be written.
+    Raises InvalidInput when the path does not end in .fmu, the unit holds a function that is none of the package's, or
+    a binary cannot be compiled, and StorageError when the file cannot be written.
     """
     path = Path(path)
     if path.suffix != ".fmu":

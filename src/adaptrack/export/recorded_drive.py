@@ -155,7 +155,7 @@ def record_drive(
     has a stop, and hills where the road is level. A command takes effect a period after its sample if the controller
     assumes such a computation time, else at once. A controller that learns its steering drives below
     `Learner.first_top_speed`. Where the car leaves the road at planned speeds, the drive is repeated more slowly
-    (`SLOWER`). Raises InvalidInput when the controller cannot be tracked, or the drive ends before its first instant.
+    (`SLOWER`). Raises InvalidInput when the controller cannot be tracked, or the road is too short to be driven.
     """
     length = min(road.length, float(plan.speed.max()) * (DRIVEN_SHARE * seconds + RECORDED_LOOKAHEAD))
     points = _points(road, length)

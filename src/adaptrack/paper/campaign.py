@@ -55,8 +55,8 @@ _ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<po
 def dask_client(address: str) -> Any:
     """A `distributed.Client` of the scheduler at an address, once it has a worker.
 
-    Raises MissingExtra when Dask is not installed, and InvalidInput when there is no scheduler at the address, or the
-    scheduler has no worker.
+    Raises MissingExtra when Dask is not installed, and InvalidInput for text that is no address, and when no scheduler
+    answers there or it has no worker.
     """
     try:
         distributed = importlib.import_module("distributed")

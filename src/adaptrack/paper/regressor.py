@@ -22,7 +22,7 @@ RowNumbers = NDArray[np.int64]
 def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array | None:
     """The weights (n,) of the rows of x (n, D), a number standing for all; None where all count alike.
 
-    Raises InvalidInput when one is negative, or none positive.
+    Raises InvalidInput for weights of another shape, for a negative one, and when none is positive.
     """
     if sample_weight is None:
         return None

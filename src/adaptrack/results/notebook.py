@@ -44,7 +44,10 @@ _FORMS = {
 
 
 def html_of(value: Any) -> str:
-    """The object in a notebook: its numbers and its figure, with nothing from outside; TypeError for other types."""
+    """The object in a notebook: its numbers and its figure, with nothing from outside.
+
+    Raises TypeError when no form is known for its type.
+    """
     form = next((form for kind, form in _FORMS.items() if isinstance(value, kind)), None)
     if form is None:
         raise TypeError(f"{type(value).__name__} has no form for notebooks.")
