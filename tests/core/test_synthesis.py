@@ -243,9 +243,9 @@ def test_the_sampled_error_model_is_the_matrix_exponential():
 def solve_riccati(A, B, Q):
     """P by the kernel, in memory that is longer than it needs."""
     n = len(B)
-    P, work = np.full((n, n), np.nan), np.full(7 * n * n + 3, UNTOUCHED)
+    P, work = np.full((n, n), np.nan), np.full(6 * n * n + 3, UNTOUCHED)
     doublings = laws.riccati(A, B, Q, P, work)
-    assert (work[7 * n * n :] == UNTOUCHED).all()
+    assert (work[6 * n * n :] == UNTOUCHED).all()
     return doublings, P
 
 

@@ -66,6 +66,9 @@ VECTOR = kernel.float64(kernel.vector)
     ("def f(x):\n    for i in range(3):\n        x += 1.0\n    else:\n        x = 0.0\n    return x", NUMBER, 2,
      "use a variable"),
     ("def f(x):\n    return x[::2][0]", VECTOR, 2, "write a loop"),
+    ("def f(x):\n    d = 1.0\n    for i in range(3, -1, -x.size):\n        d += x[i]\n    return d", VECTOR, 3,
+     "a range needs a constant step"),
+    ("def f(x):\n    for i in range(3, -1, 0):\n        x[i] = 1.0\n    return x[0]", VECTOR, 2, "not 0"),
 ])  # fmt: skip
 def test_a_kernel_beyond_the_subset_is_refused_with_its_line_and_a_remedy(tmp_path, text, signature, line, remedy):
     with pytest.raises(KernelError, match=rf"snippet\.py:{line}: f: ") as refusal:

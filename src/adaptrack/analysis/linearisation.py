@@ -81,12 +81,8 @@ def steady_turn(
     The velocity points along X. Newton's method finds a state in which the derivatives of all states except X, Y, yaw
     and v_x vanish. The lateral acceleration rises from zero in steps of at most 1 m/s^2. speed: m/s;
     lateral_acceleration: m/s^2, speed times yaw rate; deceleration: m/s^2, of a moment of braking, with its
-    longitudinal tyre forces and load transfer, at constant speed.
-
-    Raises
-    ------
-    InvalidInput
-        When the plant cannot drive the turn, for instance on too low a friction, or has no right-hand side.
+    longitudinal tyre forces and load transfer, at constant speed. Raises InvalidInput when the plant cannot drive the
+    turn, for instance on too low a friction, or has no right-hand side.
     """
     if isinstance(plant, SteppedPlant):
         raise InvalidInput(f"Plant {plant.name!r}: is stepped and has no right-hand side that could be linearised.")
@@ -172,13 +168,8 @@ def linearised(
 
     The states are deviations in axes along the velocity, and the input is the front-wheel angle; the speed is constant.
     States without influence on the measurements are left out. The derivatives are central differences. The arguments
-    are those of `steady_turn`.
-
-    Raises
-    ------
-    InvalidInput
-        When the plant cannot drive the turn, or its derivatives jump there. A jump changes a difference when its step
-        is four times as long.
+    are those of `steady_turn`. Raises InvalidInput when the plant cannot drive the turn, or its derivatives jump there.
+    A jump changes a difference when its step is four times as long.
     """
     return _linearised_at(plant, steady_turn(plant, speed, lateral_acceleration, friction, deceleration))
 
@@ -254,12 +245,8 @@ def sampled(
 
     The rate limit of the steering has no effect on small deviations. plant, speed, friction, lateral_acceleration: as
     for `steady_turn`; period: s; profile: steering and dead time of the car, and mean ages of its samples; delay: s,
-    dead time in addition to that of the profile, also fractions of a period.
-
-    Raises
-    ------
-    InvalidInput
-        When a command would act before its instant, and as for `steady_turn`.
+    dead time in addition to that of the profile, also fractions of a period. Raises InvalidInput when a command would
+    act before its instant, and as for `steady_turn`.
     """
     turn = steady_turn(plant, speed, lateral_acceleration, friction)
     return sampled_about(plant, period, turn, load_profile(profile), delay)
@@ -346,10 +333,7 @@ class Mismatch:
     def true_car(self, plant: Plant, profile: str | Profile = "paper") -> Plant:
         """Return the true car with its true steering lag; the caller adds the dead time.
 
-        Raises
-        ------
-        InvalidInput
-            When stiffness or mass differ and the plant is neither `SingleTrack` nor `DualTrack`.
+        Raises InvalidInput when stiffness or mass differ and the plant is neither `SingleTrack` nor `DualTrack`.
         """
         world = load_profile(profile)
         believed = _steering(plant, world)
@@ -476,12 +460,7 @@ def linear_estimator(mpc: MPC, speed: float, ages: SampleAges = PROMPT_SAMPLES) 
     A Kalman filter is linear as long as its innovations are small. The matrices are difference quotients of the
     compiled estimator with respect to its inputs and its memory, so user-defined estimators are analysed in the same
     way. Entries of the memory that do not depend on the measurements (gains, covariances) or do not influence the
-    command are left out.
-
-    Raises
-    ------
-    InvalidInput
-        When the Kalman filter takes in no samples that are so old.
+    command are left out. Raises InvalidInput when the Kalman filter takes in no samples that are so old.
     """
     return EstimatorAt(mpc, speed, ages).straight
 

@@ -49,12 +49,7 @@ def is_tuning_file(contender: str) -> bool:
 def about_contender(contender: str) -> About:
     """Return the properties of a contender's controller. One with a tuning from a file is not tuned again.
 
-    Raises
-    ------
-    UnknownName
-        For an unregistered name.
-    StorageError
-        When the file cannot be read.
+    Raises UnknownName for an unregistered name, and StorageError when the file cannot be read.
     """
     if is_tuning_file(contender):
         return replace(about_controller(load_tuning(contender).controller), tunable=False)
@@ -239,10 +234,7 @@ class ControllerSetting:
     def controller(self, name: str) -> Controller:
         """Return a registered controller for this car and profile, with preview of the road.
 
-        Raises
-        ------
-        InvalidInput
-            When the controller belongs to a different car or profile.
+        Raises InvalidInput when the controller belongs to a different car or profile.
         """
         optional = {"period": self.profile.period, "preview": True}
         return get_controller(name, self.car, profile=self.profile, optional=optional)
@@ -252,11 +244,7 @@ def load_setting(car: str, profile: str) -> ControllerSetting:
     """Return a car with its plant and profile.
 
     car: name or .toml file of a car, optionally followed by a slash and the name of a plant; profile: name or file.
-
-    Raises
-    ------
-    AdaptrackError
-        When car, plant or profile does not exist or cannot be read.
+    Raises AdaptrackError when car, plant or profile does not exist or cannot be read.
     """
     parts = re.fullmatch(r"(?P<car>.+\.toml|[^/]+)(/(?P<plant>[^/]+))?", car)
     if parts is None:
@@ -274,11 +262,7 @@ def load_drive(
 
     length: m, of a generated road; duration: s, of a random drive; friction: true friction of a road, which the plan
     does not use; stops: m, places where the car stands for `STOP_DURATION`; jerk: m/s^3, limit of the planned one.
-
-    Raises
-    ------
-    AdaptrackError
-        When the road does not exist, or no speed can be planned along it.
+    Raises AdaptrackError when the road does not exist, or no speed can be planned along it.
     """
     where, _, lateral = name.rpartition("@") if re.search(r"@[\d.]+$", name) else (name, "", "")
     kind, _, seed = where.partition(":")

@@ -135,12 +135,8 @@ def refined_poses(states: Array, period: float) -> Array:
 def tunings_to_try(name: str, controller: Controller) -> Array:
     """Return the tuning of a controller, followed by its variants with the values of `SEARCH_GRIDS`.
 
-    The tunings (tunings, entries) are in the order of `tuning_names`. name: registered name of the controller
-
-    Raises
-    ------
-    InvalidInput
-        For a controller without an entry in `SEARCH_GRIDS`.
+    The tunings (tunings, entries) are in the order of `tuning_names`. name: registered name of the controller. Raises
+    InvalidInput for a controller without an entry in `SEARCH_GRIDS`.
     """
     if name not in SEARCH_GRIDS:
         raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCH_GRIDS)}.")

@@ -299,12 +299,8 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: Speed) -> Speed
     """Return the speed along a track's road: constant up to the first cones, then coasting.
 
     The car enters with a speed (m/s) and loses it by drag and rolling resistance, m v dv/ds = -(rho A c_d v^2/2 + f m
-    g). The cornering resistance of the tyres is neglected. road: that of `track_road`
-
-    Raises
-    ------
-    InvalidInput
-        When the car stops before the end of the road.
+    g). The cornering resistance of the tyres is neglected. road: that of `track_road`. Raises InvalidInput when the car
+    stops before the end of the road.
     """
     s = np.linspace(0.0, road.length, math.ceil(road.length / LINE_SPACING) + 1)
     entry = float(np.interp(track.gates[0].start, road.at(s).x, s))

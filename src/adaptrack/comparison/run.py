@@ -107,10 +107,7 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     - `seconds`: computation time (s);
     - `left_out`: reason why nothing was driven.
 
-    Raises
-    ------
-    AdaptrackError
-        When the car, the profile or a road cannot be loaded.
+    Raises AdaptrackError when the car, the profile or a road cannot be loaded.
     """
     start_time = time.perf_counter()
     properties = about_contender(cell.contender)
@@ -160,11 +157,8 @@ def _test_rows(
 def _make_controller(task: ComparisonConfig, cell: Cell, setting: ControllerSetting) -> tuple[Controller, str]:
     """Return the controller of a cell before any search, and its kind of tuning: "default", "scheduled" or a file.
 
-    Raises
-    ------
-    InvalidInput
-        When a scheduler or a tuning file belongs to a different car or profile, or its search used noise seeds of the
-        test.
+    Raises InvalidInput when a scheduler or a tuning file belongs to a different car or profile, or its search used
+    noise seeds of the test.
     """
     if not is_tuning_file(cell.contender):
         controller = setting.controller(cell.contender)

@@ -51,11 +51,7 @@ def tune_on_roads(
     length: m, of generated roads; loops: largest number of simulated drives of the search, None for 300 tunings on each
     road with each noise seed; prescribed_speed: whether the car follows its planned speed exactly, without forces along
     the road; command: command line, which is stored in the file; progress: called with (stage, steps done, steps).
-
-    Raises
-    ------
-    InvalidInput
-        For a controller without a search space, or too few drives.
+    Raises InvalidInput for a controller without a search space, or too few drives.
     """
     report = progress or (lambda stage, steps_done, steps: None)
     start_time = time.perf_counter()

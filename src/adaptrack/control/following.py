@@ -159,12 +159,8 @@ class PlannerFollower:
     ) -> TrajectoryAnswer:
         """Convert a trajectory that arrives at a time (s) for a tracker (resident).
 
-        friction: low end of the estimate, for a fallback; NaN: unknown.
-
-        Raises
-        ------
-        InvalidInput
-            When the trajectory is impossible.
+        friction: low end of the estimate, for a fallback; NaN: unknown. Raises InvalidInput when the trajectory is
+        impossible.
         """
         rows = trajectory.points
         length = float(portable.hypot(*np.diff(rows[:, 1:3], axis=0).T).sum())

@@ -103,10 +103,7 @@ class Recorder:
     def close(self) -> None:
         """Write what is left; of a Parquet file, make it. A second call does nothing.
 
-        Raises
-        ------
-        StorageError
-            When the Parquet file cannot be written; the CSV file stays.
+        Raises StorageError when the Parquet file cannot be written; the CSV file stays.
         """
         if self._stream is None:
             return

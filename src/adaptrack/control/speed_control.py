@@ -257,10 +257,7 @@ class SpeedControl:
 def speed_path(path: Road, plan: Any, stop_at_end: bool) -> Any:
     """Plan of a road at even places, for the kernel; plan: with `s`, `speed` and `stops`, such as a `SpeedPlan`.
 
-    Raises
-    ------
-    InvalidInput
-        When a speed, a grade, a bank or a stop is not possible, or the speed is 0 away from a stop.
+    Raises InvalidInput when a speed, a grade, a bank or a stop is not possible, or the speed is 0 away from a stop.
     """
     stops = np.array(plan.stops, dtype=float).reshape(-1, 2)
     arrays = path_kernel.PlanArrays(

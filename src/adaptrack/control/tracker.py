@@ -665,11 +665,7 @@ def tracking_of(
 
     part: the controller as a part of loops, by default a fresh one; longitudinal: the speed control behind the tracker
     (`core.tracker.longitudinal.Longitudinal`), None: none; planned: as in `tracker_of`. The controller stays as it is.
-
-    Raises
-    ------
-    InvalidInput
-        When a part of the controller is not compiled.
+    Raises InvalidInput when a part of the controller is not compiled.
     """
     scheduler = controller.scheduler
     if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):

@@ -186,16 +186,11 @@ class BatchRuns:
 
 
 def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[list[Signals], Array]:
-    """Sample scenarios at the control instants.
+    """Sample scenarios at the control instants; InvalidInput when there is none.
 
     Return the samples of each scenario, and the same samples as the kernels read them, an array (scenarios,
     `core.simulation.world.SIGNAL`, n + 1), where n is the number of periods of the longest scenario. Shorter ones
     repeat their last sample; a preview beyond their end reads the same values.
-
-    Raises
-    ------
-    InvalidInput
-        When `scenarios` is empty.
     """
     signals = [scenario.sample(world.period) for scenario in scenarios]
     if not signals:

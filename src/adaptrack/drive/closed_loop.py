@@ -229,10 +229,7 @@ class ClosedLoop:
     def _speed_part(self, scenario: Scenario | RoadDrive, controller: Controller | None) -> dict[str, Any]:
         """Fields of the run that let a speed control, or a driver of your own, request the forces.
 
-        Raises
-        ------
-        InvalidInput
-            When the scenario has no road.
+        Raises InvalidInput when the scenario has no road.
         """
         driver = self.world.driver
         if driver is None or isinstance(driver, Driver | RequestedForces):

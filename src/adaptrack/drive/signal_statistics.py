@@ -56,17 +56,13 @@ def reversal_rate(
     """Reversals per minute of a steering-wheel angle (n,) in rad at times t (n,) in s.
 
     The angle is low-pass filtered by a second-order Butterworth filter, forward and backward, without phase shift. A
-    reversal is a rise or a fall by more than `gap` (rad) between stationary points of the filtered angle.
+    reversal is a rise or a fall by more than `gap` (rad) between stationary points of the filtered angle. Raises
+    InvalidInput when the sampling rate is too low for the cut-off frequency (Hz).
 
     The measure is that of SAE J2944_201506. The text of the standard was not available; the implementation follows the
     program by G. Markkula and J. Engstroem, *A steering wheel reversal rate metric for assessing effects of visual and
     cognitive secondary task load*, 13th ITS World Congress, 2006. The article uses 3 degrees at 0.6 Hz for large
     corrections and 0.1 degrees at 2 Hz for small ones.
-
-    Raises
-    ------
-    InvalidInput
-        When the sampling rate is too low for the cut-off frequency (Hz).
     """
     from scipy.signal import filtfilt
 

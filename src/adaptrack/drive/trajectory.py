@@ -357,13 +357,9 @@ TRAJECTORY_COLUMNS = tuple(
 def provenance(created: str | datetime, **entries: Any) -> dict[str, Any]:
     """Return the provenance of a result for the `meta` of a `Trajectory`: its entries and the software versions.
 
-    Parameters
-    ----------
-    created
-        Time of creation; an argument, so that the result does not depend on the system clock.
-    **entries
-        Scenario, plant and controller of the run, each a name or a table with ``name`` and the parameters in use, and
-        further entries, such as ``seed``, ``moves``, ``qp_solver`` or ``command``.
+    created: time of creation; an argument, so that the result does not depend on the system clock. entries: scenario,
+    plant and controller of the run, each a name or a table with ``name`` and the parameters in use, and further
+    entries, such as ``seed``, ``moves``, ``qp_solver`` or ``command``.
     """
     return {
         **entries,

@@ -116,13 +116,7 @@ class World:
         driver: LongitudinalDriver | RequestedForces,
         perception: PerceptionSource, failure: FailureLimits | None,
     ) -> World:  # fmt: skip
-        """Build the world of a controller. The arguments are those of `simulate`.
-
-        Raises
-        ------
-        InvalidInput
-            When arguments do not match each other.
-        """
+        """Build the world of a controller from arguments of `simulate`; InvalidInput when they do not match."""
         if driver is not None and not isinstance(driver, Driver | SpeedControl | SpeedDriver | RequestedForces):
             raise InvalidInput(
                 f"driver = {format_value(driver)}: must be a Driver, a SpeedControl, an object whose method "

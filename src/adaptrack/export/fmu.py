@@ -112,12 +112,8 @@ def write_fmu(
 ) -> Path:
     """Write a unit as an FMU; its path. platforms: as of `export_fmu`.
 
-    Raises
-    ------
-    InvalidInput
-        When the unit holds a function that is none of the package's, or a binary cannot be compiled.
-    StorageError
-        When the file cannot be written.
+    Raises InvalidInput when the path does not end in .fmu, the unit holds a function that is none of the package's, or
+    a binary cannot be compiled, and StorageError when the file cannot be written.
     """
     path = Path(path)
     if path.suffix != ".fmu":
@@ -158,12 +154,8 @@ def constants(unit: Unit) -> bytes:
     The library of FMUs holds every unit, and sizes depend on the road, so an FMU cannot have structs as the export to C
     does. The file (`memory.file_of`) holds counts, the places of addresses, then the words of the memory: the record as
     `core.kernel.Resident` lays it, the arrays that do not change, and all others, which a saved state holds. It names a
-    kernel by its place in `fmu_build.UNIT_MEMBERS`.
-
-    Raises
-    ------
-    InvalidInput
-        When kernels are interpreted, or the record has a function that is none of the package's.
+    kernel by its place in `fmu_build.UNIT_MEMBERS`. Raises InvalidInput when kernels are interpreted, or the record has
+    a function that is none of the package's.
     """
     words: list[NDArray[np.uint64]] = []
     arrays: list[tuple[int, Member]] = []

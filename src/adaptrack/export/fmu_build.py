@@ -115,13 +115,7 @@ def _units_table() -> str:
 
 
 def check_platforms(names: tuple[str, ...]) -> None:
-    """Check that FMUs can have binaries for these platforms.
-
-    Raises
-    ------
-    InvalidInput
-        When a name is no platform, or the compiler is not installed.
-    """
+    """Refuse names that are no platforms, and any name while the compiler is not installed: InvalidInput."""
     for name in names:
         if name not in PLATFORMS:
             raise InvalidInput(f"platform {name!r}: {did_you_mean(name, list(PLATFORMS))}")
@@ -135,10 +129,7 @@ def check_platforms(names: tuple[str, ...]) -> None:
 def binary(name: str) -> bytes:
     """The shared library for a platform; it is compiled where the cache does not hold it.
 
-    Raises
-    ------
-    InvalidInput
-        See `check_platforms`; also when the compiler refuses the sources.
+    Raises InvalidInput as `check_platforms`, and when the compiler refuses the sources.
     """
     check_platforms((name,))
     chosen = PLATFORMS[name]

@@ -92,10 +92,8 @@ class Member(NamedTuple):
 def members_of(record: Any, before: str = "") -> Iterator[Member]:
     """The members of a record in order, those of records with arrays or addresses one by one.
 
-    Raises
-    ------
-    InvalidInput
-        When kernels are interpreted, or the record holds a function that is none of the package's kernels.
+    Raises InvalidInput when kernels are interpreted, or the record holds a function that is none of the package's
+    kernels.
     """
     if INTERPRETED:
         raise InvalidInput("export: the kernels are interpreted (ADAPTRACK_KERNELS); what is exported is compiled.")

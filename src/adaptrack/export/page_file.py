@@ -160,10 +160,7 @@ def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
 def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle, planner: SimulatedPlanner | None) -> None:
     """Refuse speed, road and controllers that the page would refuse; planner: which these follow.
 
-    Raises
-    ------
-    InvalidInput
-        When one of them does not fit the car or the profile; the message says where.
+    Raises InvalidInput, saying where, when one of them does not fit the car or the profile.
     """
     ((kind, speed),) = setup["speed"].items()
     low, high = INPUTS.field_settings[kind].ends
@@ -191,13 +188,7 @@ def _check_name(kind: str, name: str, names: Iterable[str]) -> str:
 
 
 def page_kernels() -> bytes:
-    """Return the module, compiled now where it is not there.
-
-    Raises
-    ------
-    InvalidInput
-        When it is not there and cannot be compiled.
-    """
+    """Return the module, compiled now where it is not there; InvalidInput when that fails."""
     try:
         return library.page_module().read_bytes()
     except library.UNUSABLE as error:
@@ -222,12 +213,8 @@ def _quiet() -> Iterator[None]:
 def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = None) -> Path:
     """Write the page; setup: what it begins with, see `export_page`.
 
-    Raises
-    ------
-    InvalidInput
-        Where the kernels for WebAssembly are not there.
-    StorageError
-        When it cannot be written.
+    Raises InvalidInput where the kernels for WebAssembly are not there, and StorageError when the page cannot be
+    written.
     """
     write_atomically(path, page_html(setup).encode())
     return Path(path)
@@ -237,11 +224,7 @@ def page_html(setup: Mapping[str, Any] | None = None) -> str:
     """The page as text; setup: what it begins with.
 
     Its Content-Security-Policy lets this script, its worker and its kernels run, and nothing be loaded from anywhere.
-
-    Raises
-    ------
-    InvalidInput
-        Where the kernels for WebAssembly are not there.
+    Raises InvalidInput where the kernels for WebAssembly are not there.
     """
     remaining = {path.name for path in PAGE_SOURCES.glob("*.js")} - {*ENGINE, *FIRST_SCRIPTS, *LAST_SCRIPTS}
     script = _together((*FIRST_SCRIPTS, *sorted(remaining), *LAST_SCRIPTS))

@@ -151,17 +151,11 @@ def record_drive(
     """Drive the beginning of a road with a controller behind a tracker, then `STRETCHES`; keep what went in and out.
 
     The road is driven through points `RECORDED_SPACING` apart, at a speed planned as `plan` is; profile: of the
-    sensors;
-    furthest: m, from the path, as of the exported tracker; speed: the speed control behind it: the drive then has a
-    stop, and hills where the road is level. A command takes effect a period after its sample if the controller assumes
-    such a computation time, else at once. A controller that learns its steering drives below
+    sensors; furthest: m, from the path, as of the exported tracker; speed: the speed control behind it: the drive then
+    has a stop, and hills where the road is level. A command takes effect a period after its sample if the controller
+    assumes such a computation time, else at once. A controller that learns its steering drives below
     `Learner.first_top_speed`. Where the car leaves the road at planned speeds, the drive is repeated more slowly
-    (`SLOWER`).
-
-    Raises
-    ------
-    InvalidInput
-        When the controller cannot be tracked, or the drive ends before its first instant.
+    (`SLOWER`). Raises InvalidInput when the controller cannot be tracked, or the road is too short to be driven.
     """
     length = min(road.length, float(plan.speed.max()) * (DRIVEN_SHARE * seconds + RECORDED_LOOKAHEAD))
     points = _points(road, length)

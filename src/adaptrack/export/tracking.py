@@ -92,13 +92,7 @@ def trajectory_words(points: int, has_speed: bool) -> tuple[int, int]:
 
 
 def refuse(controller: Any) -> None:
-    """Refuse what cannot be exported.
-
-    Raises
-    ------
-    InvalidInput
-        For a controller of another kind, or a part of one, that is not compiled ahead of time.
-    """
+    """Refuse a controller that is not compiled ahead of time, or has a part that is not: InvalidInput."""
     name = getattr(controller, "name", type(controller).__name__)
     if not getattr(controller, "is_exportable", False):
         raise InvalidInput(
@@ -120,10 +114,7 @@ def refuse(controller: Any) -> None:
 def room_of(controller: Any, room: tuple[int, int] | None = None) -> Room:
     """Largest Np and Nc for which there is memory: by default what tuning and schedule ask for.
 
-    Raises
-    ------
-    InvalidInput
-        When that is less than they ask for, or more than the controller was made for.
+    Raises InvalidInput when that is less than they ask for, or more than the controller was made for.
     """
     needed = controller.room_for(controller.packed_tuning()[None], controller.scheduler)
     if room is None or not controller.has_horizons:
@@ -145,12 +136,7 @@ def tracking_memory(
 
     room: of an MPC the largest Np and Nc that constants which are loaded later may have; furthest: m, from the path;
     speed: the speed control behind the tracker. It learns drive, brakes and friction from `adaptrack_init` on.
-    following: how a planner is followed; None: it is not.
-
-    Raises
-    ------
-    InvalidInput
-        When it cannot be exported.
+    following: how a planner is followed; None: it is not. Raises InvalidInput when the controller cannot be exported.
     """
     refuse(controller)
     none: Any = None  # the C program gives path and plan

@@ -134,12 +134,8 @@ def car_unit(
     """A car of the simulated world as a unit: what `simulate` puts around a controller, without plan and environment.
 
     route: where it starts and how fast, and the road from which its offset counts; None: at the origin, at 20 m/s;
-    driver: with a `SpeedControl` the inputs ``force`` and ``hold`` move the car through its drive and brakes.
-
-    Raises
-    ------
-    InvalidInput
-        When the plant is none of the package's own, or the driver looks ahead by less than a period.
+    driver: with a `SpeedControl` the inputs ``force`` and ``hold`` move the car through its drive and brakes. Raises
+    InvalidInput when the plant is none of the package's own, or the driver looks ahead by less than a period.
     """
     world = _world(plant, profile, driver, period)
     road = getattr(route, "road", None)
@@ -199,11 +195,8 @@ def controller_unit(
     at most `trajectory_points` points. Without a path the car stands until the first one. The comfort of a speed
     control is that of `following`. What the controller has learned so far travels along; it stays as it is.
 
-    Raises
-    ------
-    InvalidInput
-        When the controller, or a part of it, is not compiled ahead of time, or a speed control has no plan, or there is
-        neither a path nor `following`.
+    Raises InvalidInput when the controller, or a part of it, is not compiled ahead of time, or a speed control has no
+    plan, or there is neither a path nor `following`.
     """
     refuse(built_controller)
     if path is None and following is None:

@@ -204,12 +204,8 @@ def refuse_contradictions(evidence: Evidence, stage: str) -> None:
 def drop_computed_columns(values: Mapping[str, Array], wheelbase: float) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Return the measured signals of a log, and a note on each computed one.
 
-    values: raw columns in SI units by their signals, (n,) each.
-
-    Raises
-    ------
-    InvalidInput
-        When the yaw rate is computed from steering and speed: nothing was measured.
+    values: raw columns in SI units by their signals, (n,) each. Raises InvalidInput when the yaw rate is computed from
+    steering and speed: nothing was measured.
     """
     columns = {name: np.asarray(column, dtype=np.float64) for name, column in values.items()}
     evidence = Evidence(columns, wheelbase)
@@ -227,12 +223,8 @@ def drop_computed_columns(values: Mapping[str, Array], wheelbase: float) -> tupl
 def guessed_ratio(log: Log, wheelbase: float) -> float:
     """First guess of the steering ratio (-) of a log whose `command` is an angle of the steering wheel.
 
-    It is the slope over the measured angle of the road wheels, or what yaw rate and speed make of it.
-
-    Raises
-    ------
-    InvalidInput
-        When neither follows the steering, or the angle is in degrees.
+    It is the slope over the measured angle of the road wheels, or what yaw rate and speed make of it. Raises
+    InvalidInput when neither follows the steering, or the angle is in degrees.
     """
     both = np.isfinite(log.wheel)
     if both.sum() >= LEAST_BOTH:

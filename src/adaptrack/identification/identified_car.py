@@ -126,10 +126,7 @@ class DriveIdentification:
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write the car as TOML, with intervals in comments; it gets the file's name.
 
-        Raises
-        ------
-        StorageError
-            When the file cannot be written.
+        Raises StorageError when the file cannot be written.
         """
         self.car.to_toml(path, ["Drive and brakes identified from a log; 90 % intervals:", *self.comments])
 

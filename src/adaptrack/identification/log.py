@@ -137,11 +137,8 @@ def log_of(
     filled; gaps and halts cut the log. wheelbase (m): of the car, for what the steering asks of it. commanded: whether
     ``command`` is one, not a measured angle.
 
-    Raises
-    ------
-    InvalidInput
-        When a signal is missing, never a number or mostly outliers, the gyro is stuck, times go back, samples are too
-        rare, the car stands all the time, the log is too short, or hardly steered.
+    Raises InvalidInput when a signal is missing, never a number or mostly outliers, the gyro is stuck, times go back,
+    samples are too rare, the car stands all the time, the log is too short, or hardly steered.
     """
     require_columns(columns, "time", "speed", "yaw_rate")
     _require_steering(columns)
@@ -181,10 +178,7 @@ def log_of(
 def check_times(time: Array) -> float:
     """s, the median between increasing times (s).
 
-    Raises
-    ------
-    InvalidInput
-        When the samples are too rare, or nearer to each other than those of any car.
+    Raises InvalidInput when the samples are too rare, or nearer to each other than those of any car.
     """
     period = float(np.median(np.diff(time)))
     span = float(time[-1] - time[0])
@@ -335,10 +329,7 @@ def noise_of(values: Array) -> float:
 def find_outliers(name: str, time: Array, values: Array) -> Rows:
     """Find the samples (n,) of a signal that are infinite, impossible or far from their neighbours.
 
-    Raises
-    ------
-    InvalidInput
-        When a large share of the signal are outliers.
+    Raises InvalidInput when a large share of the signal are outliers.
     """
     limit = IMPOSSIBLE_YAW if name == "yaw" else IMPOSSIBLE_VALUE
     outliers = np.abs(values) >= limit

@@ -60,12 +60,7 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
     """Compare the columns of a log.
 
     vehicle: the car, for the size of its turning and the place of its centre of mass; without one only gross errors of
-    the former are recognised.
-
-    Raises
-    ------
-    InvalidInput
-        When there is no time, or no speed, or the times cannot be in s.
+    the former are recognised. Raises InvalidInput when there is no time, or no speed, or the times cannot be in s.
     """
     values = columns.values
     require_columns(values, "time", "speed")

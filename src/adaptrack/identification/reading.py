@@ -187,12 +187,8 @@ def read_logs(logs: Source | Sequence[Source], reading: Reading | None = None) -
 def read_columns(source: Source, reading: Reading) -> Columns:
     """The signals of a log: a .csv or .parquet file, one of `Trajectory.save`, or arrays by name.
 
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    InvalidInput
-        When it is no table of numbers, or names columns that it does not have.
+    Raises StorageError when the file cannot be read, and InvalidInput when it is no table of numbers, or names columns
+    that it does not have.
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
     if isinstance(source, Mapping):

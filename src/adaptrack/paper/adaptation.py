@@ -434,10 +434,7 @@ def safe_constant(runs: RunSet, stability: StabilityMap) -> Tuning:
 def safe_candidates(stability: StabilityMap) -> Array:
     """(n, 4) the map's tunings that are far from instability at every speed and friction.
 
-    Raises
-    ------
-    InvalidInput
-        When there is none, with the largest domain that one of them holds.
+    Raises InvalidInput, with the largest domain that one of them holds, when there is none.
     """
     loops = Feasibility.from_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
     loops = loops.among(loops.tunings[:, 3] >= portable.power(10.0, FALLBACK_RATIO))

@@ -140,12 +140,8 @@ def scatter(
 def grid(x: Array, n_mfs: int | Sequence[int]) -> Partition:
     """`n_mfs` functions evenly over the range of each input (one number, or one per input), and a rule for each cell.
 
-    Neighbours cross at one half. x (n, D) inputs.
-
-    Raises
-    ------
-    InvalidInput
-        When the numbers do not fit the inputs, or the grid has more than `MOST_GRID_RULES` rules.
+    Neighbours cross at one half. x (n, D) inputs. Raises InvalidInput when the numbers do not fit the inputs, or the
+    grid has more than `MOST_GRID_RULES` rules.
     """
     dims = x.shape[1]
     sizes = list(n_mfs) if isinstance(n_mfs, Sequence | np.ndarray) else [n_mfs] * dims

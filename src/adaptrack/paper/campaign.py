@@ -55,12 +55,8 @@ _ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<po
 def dask_client(address: str) -> Any:
     """A `distributed.Client` of the scheduler at an address, once it has a worker.
 
-    Raises
-    ------
-    MissingExtra
-        When Dask is not installed.
-    InvalidInput
-        When there is no scheduler at the address, or the scheduler has no worker.
+    Raises MissingExtra when Dask is not installed, and InvalidInput for text that is no address, and when no scheduler
+    answers there or it has no worker.
     """
     try:
         distributed = importlib.import_module("distributed")
@@ -159,12 +155,7 @@ def software_versions(setup: Setup) -> dict[str, str]:
 def objective_and_library(setup: Setup, software: Software) -> tuple[Objective, Array]:
     """The closed loop and the library of a campaign, prepared once in each process.
 
-    software: of the process that started the campaign.
-
-    Raises
-    ------
-    ContractError
-        When this process runs other software than the one that started the campaign.
+    software: of the process that started the campaign; ContractError when this process runs other software.
     """
     config, present = setup.config, tuple(software_versions(setup).items())
     if present != software:
@@ -210,10 +201,7 @@ class CampaignParts:
     def missing(self) -> list[int]:
         """The numbers of the parts that are not there.
 
-        Raises
-        ------
-        StorageError
-            When a part is damaged or belongs to another campaign or other software.
+        Raises StorageError when a part is damaged or belongs to another campaign or other software.
         """
         return [number for number in range(len(self.streams)) if self.read(number) is None]
 

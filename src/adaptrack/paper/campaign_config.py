@@ -224,10 +224,7 @@ class Setup:
     def plant(self) -> Plant | SteppedPlant:
         """The campaign's plant of the car, on the campaign's tyre where it names one; made once.
 
-        Raises
-        ------
-        UnknownName
-            When no plant has this name in this process, or there is no such module.
+        Raises UnknownName when no plant has this name in this process, or there is no such module.
         """
         return _plant(self)
 

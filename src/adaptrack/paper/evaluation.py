@@ -112,10 +112,7 @@ def evaluate_on_tests(task: LearningTask, schedules: Schedules) -> dict[str, Com
 def evaluation_points(task: LearningTask, count: int, seed: int) -> Array:
     """(count, 4) the operating points of an evaluation.
 
-    Raises
-    ------
-    InvalidInput
-        When something was tuned on them or learned from them.
+    Raises InvalidInput when something was tuned on them or learned from them.
     """
     first = FIRST_POINTS + seed
     used = adaptation.TRAINING_POINTS, adaptation.HELD_OUT_POINTS

@@ -89,12 +89,8 @@ def explore_landscape(
 ) -> WeightedMoves:
     """Drive some runs with every output shifted up and down, and return the moves that lower their cost.
 
-    schedule: the schedule with its outputs shifted by (3,); seed: of the noise; rescue: for runs that fail.
-
-    Raises
-    ------
-    InvalidInput
-        When the runs estimate friction and wind: the estimates are unknown before driving.
+    schedule: the schedule with its outputs shifted by (3,); seed: of the noise; rescue: for runs that fail. Raises
+    InvalidInput when the runs estimate friction and wind: the estimates are unknown before driving.
     """
     if isinstance(runs.perception, FrictionWindEstimator):
         raise InvalidInput("runs with estimated friction and wind cannot be learned from: use the exact values.")

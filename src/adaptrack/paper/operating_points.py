@@ -49,10 +49,8 @@ MAX_POINTS = 10_000_000
 def check_operating_points(points: ArrayLike) -> Array:
     """`points` as an array of shape (n, 4), columns as in `POINT_COORDINATES`.
 
-    Raises
-    ------
-    InvalidInput
-        For another shape, no row at all, or a value that is not finite or makes no sense; the message names it.
+    Raises InvalidInput for another shape, no row at all, or a value that is not finite or makes no sense; the message
+    names it.
     """
     try:
         rows = np.array(points, dtype=np.float64)
@@ -157,14 +155,10 @@ def sobol(n: Annotated[Count, pydantic.Field(le=MAX_POINTS)], box: Mapping[str, 
     """The first n points of a scrambled Sobol sequence in a box, (n, 4).
 
     box: values of a `Box` by name; seed: of the scrambling. The points fill the box more evenly than random ones, best
-    when n is a power of two; the first points of a longer sample are the same.
+    when n is a power of two; the first points of a longer sample are the same. Raises InvalidInput for an empty box, or
+    one that makes no sense.
 
     Source: A. B. Owen, *Scrambling Sobol' and Niederreiter-Xing points*, J. Complexity 14 (1998), by `scipy.stats.qmc`.
-
-    Raises
-    ------
-    InvalidInput
-        For an empty box, or one that makes no sense.
     """
     low, high = np.array([pair for _, pair in Box(**box)]).T
     return check_operating_points(low + unit_sobol(n, len(POINT_COORDINATES), seed) * (high - low))

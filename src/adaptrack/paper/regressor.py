@@ -22,10 +22,7 @@ RowNumbers = NDArray[np.int64]
 def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array | None:
     """The weights (n,) of the rows of x (n, D), a number standing for all; None where all count alike.
 
-    Raises
-    ------
-    InvalidInput
-        When one is negative, or none positive.
+    Raises InvalidInput for weights of another shape, for a negative one, and when none is positive.
     """
     if sample_weight is None:
         return None
@@ -48,10 +45,7 @@ def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array 
 def held_out(model: str, n: int, fraction: float, rng: np.random.RandomState) -> tuple[RowNumbers, RowNumbers]:
     """The rows to train on and the held-out rows of n: a `fraction` at random, at least one; both ascending.
 
-    Raises
-    ------
-    InvalidInput
-        When no row is left to train on.
+    Raises InvalidInput when no row is left to train on.
     """
     count = max(1, round(fraction * n))
     if count >= n:

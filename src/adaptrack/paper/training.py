@@ -196,10 +196,7 @@ def trained_schedule(trained: Trained, dataset: DataSet) -> Schedule:
 def search_bounds(dataset: DataSet) -> dict[str, tuple[float, float]]:
     """(low, high) of each entry of the tuning in the search behind a data set.
 
-    Raises
-    ------
-    InvalidInput
-        When the provenance does not contain the bounds.
+    Raises InvalidInput when the provenance does not contain the bounds.
     """
     search = dataset.provenance.get("settings", {}).get("search", {})
     if not set(ENTRIES) <= set(search):

@@ -78,21 +78,10 @@ def drive_result(
 ) -> Result:
     """Return the result of closed-loop runs.
 
-    Runs are grouped by scenario or road; equal labels are numbered. A label keeps its colour in all pictures.
-
-    Parameters
-    ----------
-    rows
-        Measures of all runs by name, for console and JSON.
-    title
-        Title; by default the names of scenarios and controllers.
-    command
-        The command line that repeats the runs.
-
-    Raises
-    ------
-    InvalidInput
-        When there is no run, or when runs with a road use different roads.
+    Runs are grouped by scenario or road; equal labels are numbered. A label keeps its colour in all pictures. rows:
+    measures of all runs by name, for console and JSON; title: by default the names of scenarios and controllers;
+    command: the command line that repeats the runs. Raises InvalidInput when there is no run, or when runs with a road
+    use different roads.
     """
     if not runs:
         raise InvalidInput("runs: give at least one run.")

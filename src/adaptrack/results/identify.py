@@ -84,13 +84,7 @@ def _first(identification: Identification) -> str:
 
 
 def write_identification_page(identification: Identification, path: str | os.PathLike[str], command: str = "") -> Path:
-    """Write the page as one file and return its path.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be written.
-    """
+    """Write the page as one file and return its path; StorageError when the file cannot be written."""
     from adaptrack.results.page import render_result
 
     write_atomically(path, render_result(identification_result(identification, command)).encode())

@@ -32,13 +32,7 @@ from adaptrack.road import Road
 
 @singledispatch
 def figure_of(value: Any, *arguments: Any) -> Figure:
-    """The object as a figure.
-
-    Raises
-    ------
-    TypeError
-        When nothing draws its type.
-    """
+    """The object as a figure; TypeError when nothing draws its type."""
     raise TypeError(f"{type(value).__name__} has no figure.")
 
 
@@ -52,10 +46,7 @@ _FORMS = {
 def html_of(value: Any) -> str:
     """The object in a notebook: its numbers and its figure, with nothing from outside.
 
-    Raises
-    ------
-    TypeError
-        When no form is known for its type.
+    Raises TypeError when no form is known for its type.
     """
     form = next((form for kind, form in _FORMS.items() if isinstance(value, kind)), None)
     if form is None:
@@ -72,10 +63,7 @@ def html_of(value: Any) -> str:
 def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
     """Signals over time; with a road: from above, and error, steering and speed along it.
 
-    Raises
-    ------
-    InvalidInput
-        When fewer than two instants lie beside the road.
+    Raises InvalidInput when fewer than two instants lie beside the road.
     """
     name = words.controller_name(run.name_of("controller"))
     if road is None:
@@ -148,10 +136,7 @@ def schedule_figure(schedule: Schedule) -> Figure:
 def dataset_figure(dataset: DataSet) -> Figure:
     """Histograms of the best tunings, and the cost of the standard tuning over the best, by speed.
 
-    Raises
-    ------
-    InvalidInput
-        When the run failed with every tuning.
+    Raises InvalidInput when the run failed with every tuning.
     """
     rows = comparable_rows(dataset)
     if rows is None:

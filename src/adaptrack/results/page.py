@@ -25,20 +25,12 @@ from adaptrack.results.record import replay_values
 def write_result(out_dir: str | os.PathLike[str], result: Result, *, png: bool = True) -> Path:
     """Write ``index.html`` and the PNG files of a result's pictures into `out_dir`, and return the page's path.
 
-    Everything is rendered before anything is written, every file appears whole, and the page comes last: a page that
-    is there is complete. Other files in the folder stay as they are.
+    Everything is rendered before anything is written, every file appears whole, and the page comes last: a page that is
+    there is complete. Other files in the folder stay as they are. png: whether to write the PNG files, which may take
+    longer than the page, and link them.
 
-    Parameters
-    ----------
-    png
-        Whether to write the PNG files, which may take longer than the page, and link them.
-
-    Raises
-    ------
-    InvalidInput
-        When two pictures have the same file name, or one a name that is not a plain ``*.png``.
-    StorageError
-        When a file cannot be written; files of an earlier page are then whole, old or new.
+    Raises InvalidInput when two pictures have the same file name, or one a name that is not a plain ``*.png``, and
+    StorageError when a file cannot be written; files of an earlier page are then whole, old or new.
     """
     files: dict[str, bytes] = {}
     for picture in result.pictures:

@@ -90,20 +90,9 @@ class DriveRecord:
     ) -> Self:
         """A recorded run along its road.
 
-        Where the run knows its road (`Trajectory.road`) that is taken; otherwise its positions are
-        projected onto the road, each from the foot of the one before it.
-
-        Parameters
-        ----------
-        car
-            What is drawn.
-        predicted
-            The paths that `simulate` kept: the replay draws them.
-
-        Raises
-        ------
-        InvalidInput
-            When fewer than two instants are finite.
+        Where the run knows its road (`Trajectory.road`) that is taken; otherwise its positions are projected onto the
+        road, each from the foot of the one before it. car: what is drawn; predicted: the paths that `simulate` kept:
+        the replay draws them. Raises InvalidInput when fewer than two instants are finite.
         """
         placed = on_road(run, road)
         finite = np.isfinite([read(placed) for read, _ in REPLAYED_SIGNALS.values()]).all(axis=0)
@@ -216,10 +205,7 @@ def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
 def above_picture(drives: Drives) -> Picture:
     """The road from above with the driven line coloured by |e|; a panel a drive, two in a row.
 
-    Raises
-    ------
-    InvalidInput
-        When there is no drive, or they are not on one road.
+    Raises InvalidInput when there is no drive, or they are not on one road.
     """
     records, alone = list(drives.values()), len(drives) == 1
     if not records:
@@ -300,10 +286,7 @@ STYLE = "viewer.css"
 def replay_values(drives: Drives) -> dict[str, Any]:
     """Return what the template `replay.html.j2` needs for drives on one road: data, script and style. A page holds one.
 
-    Raises
-    ------
-    InvalidInput
-        When a signal jumps by more than 2^31 of its units, 2,000 km for positions.
+    Raises InvalidInput when a signal jumps by more than 2^31 of its units, 2,000 km for positions.
     """
     data = replay_data(drives)
     # JSON inside an element: "<" could end it, an escape cannot
@@ -334,10 +317,7 @@ def replay_data(drives: Drives) -> dict[str, Any]:
 def pack_column(values: Array, unit: float) -> dict[str, Any]:
     """A column as its first value and the first differences, in whole units, little-endian, in 1, 2 or 4 bytes each.
 
-    Raises
-    ------
-    InvalidInput
-        When a difference does not fit.
+    Raises InvalidInput when a difference does not fit.
     """
     units = np.rint(values / unit).astype(np.int64)
     steps = np.diff(units, prepend=units[:1])

@@ -477,10 +477,7 @@ def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
 def learned_picture(runs: Runs, strokes: Strokes | None = None, name: str = "learned") -> Picture:
     """Draw the learned quantities over time with their standard deviation and, in simulation, their true values.
 
-    Raises
-    ------
-    InvalidInput
-        When no controller learns.
+    Raises InvalidInput when no controller learns.
     """
     learners = [(line, learned) for line in prepare_runs(runs, strokes) if (learned := learned_quantities(line.run))]
     if not learners:

@@ -114,19 +114,9 @@ def search_constant(
 
 
 def swarm_within(runs: int, runs_per_tuning: int) -> SwarmSettings:
-    """Return the settings of a swarm with a limited number of closed-loop runs.
+    """Return the settings of a swarm of at most `runs` closed-loop runs, `runs_per_tuning` for each tuning.
 
-    Parameters
-    ----------
-    runs
-        Largest number of closed-loop runs.
-    runs_per_tuning
-        Number of runs that evaluate one tuning.
-
-    Raises
-    ------
-    InvalidInput
-        When the runs suffice for fewer than `MIN_TUNINGS` tunings.
+    Raises InvalidInput when the runs suffice for fewer than `MIN_TUNINGS` tunings.
     """
     tunings = runs // runs_per_tuning
     if tunings < MIN_TUNINGS:

@@ -301,10 +301,7 @@ class RunSet:
 def policy_of(policy: Any, where: str = "policy") -> Policy:
     """Return the record of any `PolicyArgument`.
 
-    Raises
-    ------
-    InvalidInput
-        For anything that cannot drive; the message begins with `where`.
+    Raises InvalidInput, beginning with `where`, for anything that cannot drive.
     """
     if hasattr(policy, "as_policy"):
         record: Policy = policy.as_policy()
@@ -379,13 +376,7 @@ def random_drive_runs(
 def paper_test_runs(
     plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str | Profile = "road", **options: Any
 ) -> RunSet:
-    """Return a set with one of the two tests of the paper, by name.
-
-    Raises
-    ------
-    InvalidInput
-        For an unknown name.
-    """
+    """Return a set with one of the two tests of the paper, by name; InvalidInput for an unknown name."""
     if name not in PAPER_MSE:
         raise InvalidInput(f"test = {name!r}: must be one of {', '.join(PAPER_MSE)}.")
     return RunSet(plant, mpc, [load_scenario(name)], profile, **options)
@@ -394,12 +385,8 @@ def paper_test_runs(
 def make_perception(name: str, plant: SingleTrack | DualTrack, profile: str | Profile = "road") -> PerceptionSource:
     """Return the argument `perception` for a perception of friction and wind by name.
 
-    The names are "exact" (true values), "estimated" (`FrictionWindEstimator`) and those of `PERCEPTIONS`.
-
-    Raises
-    ------
-    InvalidInput
-        For an unknown name.
+    The names are "exact" (true values), "estimated" (`FrictionWindEstimator`) and those of `PERCEPTIONS`. Raises
+    InvalidInput for an unknown name.
     """
     if name == "exact":
         return None

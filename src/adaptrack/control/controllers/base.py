@@ -57,12 +57,8 @@ def step_call(controller: Controller) -> PluginCall:
 def command_of(answer: Any, before: float, call: PluginCall = STEP_CALL) -> Command:
     """An answer of `Controller.step` as a command; one that is the steering angle (rad) alone has no more to say.
 
-    before: the last command (rad); call: of the controller, see `step_call`.
-
-    Raises
-    ------
-    ContractError
-        When it is neither an angle nor has one.
+    before: the last command (rad); call: of the controller, see `step_call`. Raises ContractError when the answer is
+    neither an angle nor has one.
     """
     value = getattr(answer, "angle", answer)
     if isinstance(answer, Command) and type(value) is float:

@@ -95,10 +95,7 @@ def informed_parts(
 ) -> MPCParts:  # fmt: skip
     """The parts of an MPC that knows its car; arguments as for `MPC`, knowledge: belief, uncertainty and learning.
 
-    Raises
-    ------
-    InvalidInput
-        For arguments that make no controller.
+    Raises InvalidInput for arguments that make no controller.
     """
     order, world, method, computation_time = order_of(
         vehicle, profile, knowledge, period, estimator, preview, computation

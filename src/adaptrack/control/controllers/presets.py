@@ -60,13 +60,7 @@ def learning_from_sheet(vehicle: Vehicle, *, profile: str | Profile | None = Non
 
 
 def nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
-    """The paper's controller with the networks that ship for it.
-
-    Raises
-    ------
-    InvalidInput
-        When they were made for another car or profile.
-    """
+    """The paper's controller with its shipped networks; InvalidInput when they were made for another car or profile."""
     return _scheduled("road-nn", vehicle, profile, options)
 
 

@@ -116,17 +116,12 @@ def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:
 def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: ArrayLike, count: int) -> Array:
     """(..., n + count): -K, then g_0, g_1, ..., see `core.controllers.preview_lqr`, with r = 1.
 
-    A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights
-    for every model.
-
-    Raises
-    ------
-    InvalidInput
-        When the weights are further apart than float64 can tell.
+    A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights for
+    every model. Raises InvalidInput when the weights are further apart than float64 can tell.
     """
     n, Q, P, K = B.shape[-1], np.zeros(A.shape), np.empty(A.shape), np.empty(B.shape)
     Q[..., 1, 1], Q[..., -1, -1] = q_heading, q_e
-    work = np.empty(7 * n * n)
+    work = np.empty(6 * n * n)
     with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
         for i in np.ndindex(B.shape[:-1]):
             if laws.riccati(A[i], B[i], Q[i], P[i], work) == 0:

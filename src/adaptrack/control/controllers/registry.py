@@ -116,10 +116,7 @@ def get_controller(
 def about_controller(name: str) -> About:
     """Return the description of a registered controller.
 
-    Raises
-    ------
-    UnknownName
-        When no controller has this name; the message holds the nearest that is known.
+    Raises UnknownName, with the most similar registered name, when no controller has this name.
     """
     _registry.check_name(name)
     return _descriptions[name]

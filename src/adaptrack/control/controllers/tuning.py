@@ -57,10 +57,7 @@ class Tuning(RecordSettings, record=MPCTuning):
 def read_tuning(answer: Any, entries: Sequence[str] = ENTRIES) -> tuple[float, ...]:
     """The finite numbers that a scheduler answered, one for each entry: of a `Tuning` or of a sequence of numbers.
 
-    Raises
-    ------
-    InvalidInput
-        When the answer is anything else: None, text, too few or too many numbers, NaN, infinity.
+    Raises InvalidInput for any other answer: None, text, too few or too many numbers, NaN, infinity.
     """
     entry_values = answer.as_array() if hasattr(answer, "as_array") else answer
     try:

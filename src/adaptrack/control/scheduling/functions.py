@@ -128,10 +128,7 @@ _KINDS: dict[str, type[Function]] = {}
 def register_function(kind: type[Function]) -> type[Function]:
     """Make a kind of function known to the files of schedules; returns it, so that it may stand above a class.
 
-    Raises
-    ------
-    InvalidInput
-        When another kind has its name.
+    Raises InvalidInput when another kind has its name.
     """
     if _KINDS.setdefault(kind.kind, kind) is not kind:
         raise InvalidInput(f"register_function: another kind of function is named {kind.kind!r}: choose another name.")
@@ -144,13 +141,7 @@ def save_function(function: Function) -> dict[str, Any]:
 
 
 def load_function(saved: Mapping[str, Any]) -> Function:
-    """The function that `save_function` saved.
-
-    Raises
-    ------
-    InvalidInput
-        When its kind is unknown, or it makes no function.
-    """
+    """The function that `save_function` saved; InvalidInput when its kind is unknown, or it makes no function."""
     kind = saved["kind"]
     if not isinstance(kind, str) or kind not in _KINDS:
         raise InvalidInput(f"unknown kind of function {kind!r}. {did_you_mean(str(kind), _KINDS)}")

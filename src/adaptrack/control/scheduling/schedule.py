@@ -542,10 +542,8 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
 def _read_content(path: Path) -> Any:
     """The content of a scheduler's file, its checksum compared.
 
-    Raises
-    ------
-    StorageError
-        When the file cannot be read, is damaged, is no scheduler, or has a version that this program cannot read.
+    Raises StorageError when the file cannot be read, is damaged, is no scheduler, or has a version that this program
+    cannot read.
     """
     try:
         file = read_json(path)

@@ -67,11 +67,8 @@ class SchedulingVariables(NamedTuple):
 def complete(variables: Sequence[float]) -> SchedulingVariables:
     """Given variables in the order of `VARIABLES`, all of them: what may be left out at the end is zero.
 
-    Raises
-    ------
-    InvalidInput
-        When one of the first four is missing, there are too many, or one is not a number (NaN and infinity are
-        numbers here: a scheduler answers them).
+    Raises InvalidInput when one of the first four is missing, there are too many, or one is not a number (NaN and
+    infinity are numbers here: a scheduler answers them).
     """
     if isinstance(variables, SchedulingVariables):
         return variables

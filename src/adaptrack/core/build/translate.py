@@ -479,8 +479,9 @@ class Translation:
         first, end = (literal(0), bounds[0]) if len(bounds) == 1 else bounds[:2]
         step, is_up = "1", True
         if len(bounds) > 2:
-            step = self.hold(bounds[2]).text
-            is_up = not isinstance(operands[2], StaticValue) or operands[2].value > 0
+            if not isinstance(operands[2], StaticValue) or operands[2].value == 0:
+                raise self.error("a range needs a constant step, not 0: count by 1 and multiply.", node)
+            step, is_up = bounds[2].text, operands[2].value > 0
         end_names = names_in(arguments[0 if len(arguments) == 1 else 1])
         if not is_fixed(end) or any(is_stored(name, [node]) for name in end_names):
             end = self.temporary(end)

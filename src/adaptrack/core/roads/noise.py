@@ -113,24 +113,26 @@ def _solve(equations, first_coupled):
     Rows before `first_coupled` have entries in every second band alone: those of points from both ends of a line.
     """
     for i in range(len(equations)):
-        stride, reach = 2 if i < first_coupled else 1, min(BANDS - 1, i)
-        for j in range(reach // stride, -1, -1):
+        stride = 2 if i < first_coupled else 1
+        count = min(BANDS - 1, i) // stride
+        for j in range(count, -1, -1):
             d = j * stride
             entry = equations[i, d]
-            for k in range(d + stride, reach + 1, stride):
-                entry -= equations[i, k] * equations[i - d, k - d]
+            for k in range(1, count - j + 1):
+                entry -= equations[i, d + k * stride] * equations[i - d, k * stride]
             equations[i, d] = entry / equations[i - d, 0] if d > 0 else sqrt(entry)
         for column in range(BANDS, BANDS + 2):
             entry = equations[i, column]
-            for d in range(stride, reach + 1, stride):
-                entry -= equations[i, d] * equations[i - d, column]
+            for j in range(1, count + 1):
+                entry -= equations[i, j * stride] * equations[i - j * stride, column]
             equations[i, column] = entry / equations[i, 0]
     for i in range(len(equations) - 1, -1, -1):
-        stride, reach = 2 if i < first_coupled else 1, min(BANDS - 1, i)
+        stride = 2 if i < first_coupled else 1
+        count = min(BANDS - 1, i) // stride
         for column in range(BANDS, BANDS + 2):
             equations[i, column] /= equations[i, 0]
-            for d in range(stride, reach + 1, stride):
-                equations[i - d, column] -= equations[i, d] * equations[i, column]
+            for j in range(1, count + 1):
+                equations[i - j * stride, column] -= equations[i, j * stride] * equations[i, column]
 
 
 @inlined
