@@ -14,7 +14,7 @@ from adaptrack import cli
 from adaptrack.control.following import DRIVERS, VERDICTS, DrivenBy, Verdict
 from adaptrack.core.planned.records import POINT
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
-from adaptrack.core.units.follower import BAD_FALLBACK, BAD_TRAJECTORY, FLAW
+from adaptrack.core.tracker.followed import BAD_FALLBACK, BAD_TRAJECTORY, FLAW
 from adaptrack.export.fmu import write_fmu
 from adaptrack.export.units import controller_unit
 from adaptrack.road.planned_trajectory import PlannedTrajectory

@@ -25,13 +25,13 @@ from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLi
 from adaptrack.core import library
 from adaptrack.core.input_check.hypotheses import MISTAKES
 from adaptrack.core.kernel import Field, fields_of
-from adaptrack.core.planned import condition
 from adaptrack.core.planned.clock import VERDICT
-from adaptrack.core.planned.records import NODE, POINT
+from adaptrack.core.planned.records import POINT
 from adaptrack.core.roads import path, road
 from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
-from adaptrack.core.tracker import planner
+from adaptrack.core.tracker.followed import BAD_FALLBACK, FLAW
+from adaptrack.core.tracker.planner import PARTS
 from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 from adaptrack.export.memory import CMemory, kernels_number
@@ -53,12 +53,10 @@ PREPARE_MPC = "mpc_prepare"
 """Kernel that it calls for an MPC."""
 SPEED_CALLED = ("longitudinal_begin", "longitudinal_follow", "longitudinal_release", "longitudinal_acknowledge",
                 "speed_path_words", "write_speed_path", "horizon_cells")  # fmt: skip
-PLANNER_CALLED = "take_trajectory", "begin_trajectory", "watch_planner", "leave_planner", "condition"
+PLANNER_CALLED = "join_trajectory", "trajectory_step", "trajectory_predict", "leave_planner"
 """Kernels that it calls for a planner's trajectories."""
 TRAJECTORY_POINTS = 256
 """Points of a trajectory at most."""
-PLAN_HEAD_WORDS = 8
-"""Of `plan_head` in C."""
 CONSTANTS_FILE = "constants.bin"
 MAX_C_POINTS = 100_000
 """Of a path or a plan."""
@@ -273,8 +271,7 @@ def _planner_config(memory: CMemory) -> str:
         return ""
     drivers = ", ".join(f"ADAPTRACK_DRIVEN_BY_{driver.name} = {i}" for i, driver in enumerate(DRIVERS))
     has_speed = bool(memory.record.longitudinal.ahead.size)
-    halves = 2 * (sum(trajectory_words(TRAJECTORY_POINTS, has_speed)) + has_speed * PLAN_HEAD_WORDS)
-    words = 64 + len(POINT) * TRAJECTORY_POINTS + halves
+    words = 96 + len(POINT) * TRAJECTORY_POINTS + 2 * sum(trajectory_words(TRAJECTORY_POINTS, has_speed))
     return f"""
 #define ADAPTRACK_PLANNER 1
 #define ADAPTRACK_TRAJECTORY_POINTS {TRAJECTORY_POINTS} /* at most */
@@ -302,18 +299,16 @@ def _layout_header(memory: CMemory) -> str:
         "PLAN_SPACING": f"{PLACE_SPACING!r} /* m */",
         "PLANS": record.controller.plans, "LEARNS": int(record.controller.mpc.informed.fresh.size > 0),
         "KERNELS": f"{kernels_number():#x}u", "LAYOUT": f"{memory.layout:#x}u",
+        "LONGITUDINAL_CELLS": record.longitudinal.ahead.size,
     }  # fmt: skip
     if has_speed:
-        cells = record.longitudinal.ahead.size
-        numbers |= {"LONGITUDINAL_CELLS": cells, "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL}
+        numbers |= {"PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL}
     if record.tracker.planned.settings.size:
         words, plan_words = trajectory_words(TRAJECTORY_POINTS, has_speed)
         numbers |= {
-            "TRAJECTORY_WORDS": words, "TRAJECTORY_PLAN_WORDS": plan_words, "KEPT_POINTS": planner.KEPT_POINTS,
-            "FAR_NUMBERS": record.tracker.planned.far.size, "NODE_COLUMNS": len(NODE),
-            "NODE_LEAVE": NODE.leave, "PARTS": len(planner.PARTS),
-            "REVERSE_AHEAD": condition.REVERSE_AHEAD, "LINE_TOO_SMALL": planner.LINE_FLAW + path.TOO_SMALL,
-            **{f"PART_{name.upper()}": place for place, name in enumerate(planner.PARTS._fields)},
+            "TRAJECTORY_WORDS": words, "TRAJECTORY_PLAN_WORDS": plan_words, "PARTS": len(PARTS),
+            "FLAW_TOO_LONG": FLAW.too_long, "FLAW_TOO_FAST": FLAW.too_fast, "BAD_FALLBACK_VERDICT": BAD_FALLBACK,
+            **{f"PART_{name.upper()}": place for place, name in enumerate(PARTS._fields)},
         }  # fmt: skip
     lines = [f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()]
     return "\n".join(

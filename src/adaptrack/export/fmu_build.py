@@ -26,7 +26,7 @@ from adaptrack.core.build.compile import DLL_FILE, compiler
 from adaptrack.core.build.run_time import cache_path
 from adaptrack.core.build.units import PLANTS, TRACKERS, UNIT_KERNELS
 from adaptrack.core.kernel import fields_of
-from adaptrack.core.units.follower import BAD_FALLBACK, FLAW
+from adaptrack.core.tracker.followed import BAD_FALLBACK, FLAW
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 from adaptrack.export.memory import kernels_number
 

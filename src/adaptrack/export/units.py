@@ -25,15 +25,14 @@ from adaptrack.control.speed_control import (
     speed_path,
 )
 from adaptrack.core.kernel import Field
-from adaptrack.core.planned.records import PLANNED_MEMORY, POINT
+from adaptrack.core.planned.records import POINT
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.core.simulation.run import RunInputs
 from adaptrack.core.simulation.world import SIGNAL
-from adaptrack.core.tracker import planner
 from adaptrack.core.units import car, controller, follower
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
-from adaptrack.export.tracking import ROLES, refuse, room_of, small_record_of, trajectory_words
+from adaptrack.export.tracking import ROLES, followed_memory, refuse, room_of, small_record_of
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -232,24 +231,21 @@ def controller_unit(
     if following is None:
         record = controller.SteeringUnit(*_columns(values), tracking=tracking, points=np.zeros(2 * horizon))
         return Unit("controller", title, record, values, constants)
-    words, plan_words = trajectory_words(trajectory_points, speed is not None)
     all_values = values + _follower_values(trajectory_points, speed is not None)
     record = follower.FollowerUnit(
         *_columns(all_values), tracking=tracking, points=np.zeros(2 * horizon), first=len(values),
-        followed=follower.FOLLOWED.new(1, half=-1, horizon=cells), buffers=np.zeros((2, words)),
-        parts=np.zeros((2, len(planner.PARTS)), np.int64), plans=np.zeros((2, plan_words)), road=np.zeros(1, np.int64),
-        arrived=np.zeros((trajectory_points, len(POINT))), fallback=np.zeros((trajectory_points, len(POINT))),
-        memory_before=PLANNED_MEMORY.new(1), far_before=np.zeros_like(tracking.tracker.planned.far),
+        followed=followed_memory(trajectory_points, cells), trajectory=np.zeros((trajectory_points, len(POINT))),
+        fallback=np.zeros((trajectory_points, len(POINT))), handed_over=np.zeros(2),
     )  # fmt: skip
-    return Unit("controller", f"{title}, follows trajectories", record, all_values, (*constants, "road"))
+    return Unit("controller", f"{title}, follows trajectories", record, all_values, (*constants, "followed.road"))
 
 
 def _speed_control(
     control: SpeedControl, built_controller: Controller, path: Any, plan: Any, planner_part: PlannerFollower | None
 ) -> tuple[Any, int]:
-    """A speed control at its start, and how many cells it looks ahead there.
+    """A speed control at its start, and how many cells it looks ahead along the fastest trajectory.
 
-    planner_part: with one it has room for plans up to the highest speed of the car's domain.
+    planner_part: with one trajectories may be as fast as the highest speed of the car's domain.
     """
     comfort, top_speed = None, 0.0
     if planner_part is not None:
@@ -259,7 +255,8 @@ def _speed_control(
     start = SpeedStart(comfort or plan.comfort, max(fastest, top_speed), patience_of(built_controller))
     way = speed_path(path, plan, control.stop_at_end)
     longitudinal = longitudinal_of(control, built_controller.period, start, way, built_controller)
-    return longitudinal, horizon_cells(fastest, longitudinal.settings)
+    ahead = longitudinal.ahead[: horizon_cells(fastest, longitudinal.settings)]
+    return longitudinal._replace(ahead=ahead), longitudinal.ahead.size
 
 
 def _follower_values(points: int, has_speed: bool) -> tuple[UnitValue, ...]:

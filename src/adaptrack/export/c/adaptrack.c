@@ -25,16 +25,15 @@ extern void adaptrack_write_speed_path(struct speed_path_PlanArrays *, double *m
 extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
 #endif
 #if ADAPTRACK_PLANNER
-typedef struct planned_records_Planned planned_part;
-extern void adaptrack_take_trajectory(const double *points, int64_t count, int64_t seven,
-                                      struct tracker_planner_Arrival *, double friction,
-                                      struct tracker_records_TrackerRecord *, double *memory, int64_t size,
-                                      int64_t *parts, int64_t part_count, adaptrack_word answers[3]);
-extern void adaptrack_begin_trajectory(struct tracker_planner_Arrival *, struct tracker_records_TrackerRecord *);
-extern int64_t adaptrack_watch_planner(double now, struct tracker_records_TrackerRecord *);
+typedef struct tracker_followed_Followed followed;
+extern void adaptrack_join_trajectory(const double *points, int64_t count, int64_t seven,
+                                      struct tracker_planner_Arrival *, const double *fallback,
+                                      int64_t fallback_count, int64_t fallback_seven, int64_t fallback_urgent,
+                                      tracking *, followed *, adaptrack_word answers[3]);
+extern void adaptrack_trajectory_step(tracking *, followed *);
+extern void adaptrack_trajectory_predict(tracking *, followed *, double *points, int64_t size,
+                                         adaptrack_word answers[2]);
 extern void adaptrack_leave_planner(struct tracker_records_TrackerRecord *);
-extern void adaptrack_condition(const double *points, int64_t count, int64_t seven, double arm, double begins,
-                                double *nodes, int64_t rows, int64_t columns, adaptrack_word answers[3]);
 #endif
 
 #if ADAPTRACK_PLANS
@@ -73,13 +72,6 @@ static const path_head *head_of(const void *path) {
 
 static const double *road_of(const path_head *head) { return (const double *)(const void *)(head + 1); }
 
-/* Write the head of a path that the kernel has made. */
-static void write_head(path_head *head, const double *memory, uint32_t closed) {
-    head->closed = closed, head->pieces = (int64_t)memory[ADAPTRACK_ROAD_COUNT], head->of = 0;
-    head->headings = (int64_t)(memory[ADAPTRACK_ROAD_LENGTH] / memory[ADAPTRACK_ROAD_SPACING] + 0.5) + 1;
-    for (int i = 0; i < 3; i++) head->reserved[i] = 0;
-}
-
 size_t adaptrack_path_size(const double *points, size_t count, int closed) {
     if (!points || count < 4 || count > ADAPTRACK_MOST_POINTS) return 0;
     return sizeof(path_head) + 8u * (size_t)adaptrack_path_words(points, (int64_t)count, 2, closed != 0);
@@ -103,7 +95,9 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, d
     if (flaw) *flaw = (size_t)answers[1].whole;
     if (answers[0].whole == ADAPTRACK_PATH_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
     if (answers[0].whole != 0) return ADAPTRACK_BAD_PATH;
-    write_head(head, memory, closed != 0);
+    head->closed = closed != 0, head->pieces = (int64_t)memory[ADAPTRACK_ROAD_COUNT], head->of = 0;
+    head->headings = (int64_t)(memory[ADAPTRACK_ROAD_LENGTH] / memory[ADAPTRACK_ROAD_SPACING] + 0.5) + 1;
+    for (int i = 0; i < 3; i++) head->reserved[i] = 0;
     head->id = adaptrack_crc32(points, 16u * count) ^ adaptrack_crc32(&noise, sizeof noise) ^ (closed ? 0xffffffffu : 0u);
     head->mark = PATH;
     return ADAPTRACK_OK;
@@ -152,10 +146,9 @@ static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *h
 }
 #endif
 
-/* Let the record's road and plan be those of the caller; `memory`: the road as the kernel has made it. */
-static void put_path(struct tracker_records_TrackerRecord *tracker, const path_head *head, const double *memory,
-                     const speed_table *plan) {
-    const double *start = memory + NUMBERS + COLUMNS * head->pieces;
+/* Let the record's road and plan be those of the caller. */
+static void put_path(struct tracker_records_TrackerRecord *tracker, const path_head *head, const speed_table *plan) {
+    const double *memory = road_of(head), *start = memory + NUMBERS + COLUMNS * head->pieces;
     tracker->path.of = whole_vector_of((int64_t *)(uintptr_t)&head->of, 1);
     tracker->path.numbers = matrix_at(memory, 1, NUMBERS);
     tracker->path.start = vector_at(start, head->pieces + 1);
@@ -192,9 +185,10 @@ static size_t plan_numbers(const path_head *path, const adaptrack_speeds *speeds
            (size_t)adaptrack_speed_path_words(length, (int64_t)path->closed, (int64_t)speeds->stop_count);
 }
 
-/* Write what the kernel makes of speeds along a road in `line`, in `size` numbers, and the plan's head. */
-static adaptrack_error write_plan(const path_head *road, const double *line, const adaptrack_speeds *speeds,
-                                  plan_head *head, double *numbers, size_t size, adaptrack_flaw *flaw) {
+/* Write what the kernel makes of speeds along a road in `size` numbers, and the plan's head. */
+static adaptrack_error write_plan(const path_head *road, const adaptrack_speeds *speeds, plan_head *head,
+                                  double *numbers, size_t size, adaptrack_flaw *flaw) {
+    const double *line = road_of(road);
     const size_t count = speeds->count;
     struct speed_path_PlanArrays arrays;
     adaptrack_word answers[2];
@@ -254,7 +248,7 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
     count = speeds->count, tables = 2u * count;
     head->mark = 0;
     numbers = (double *)(void *)(head + 1);
-    error = write_plan(road, road_of(road), speeds, head, numbers + tables, plan_numbers(road, speeds) - tables, flaw);
+    error = write_plan(road, speeds, head, numbers + tables, plan_numbers(road, speeds) - tables, flaw);
     if (error != ADAPTRACK_OK) return error;
     for (size_t i = 0; i < count; i++) numbers[i] = speeds->s[i], numbers[count + i] = speeds->speed[i];
     head->count = (int64_t)count, head->path = road->id;
@@ -447,42 +441,53 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
 
 #if ADAPTRACK_PLANNER
 /* -- a planner ---------------------------------------------------------------------------------------------------- */
+enum { POINT_COLUMNS = sizeof(adaptrack_point) / sizeof(double) };
 typedef struct {
     uint64_t mark;
-    int64_t followed;              /* which of the two memories holds the trajectory that is followed */
-    adaptrack_trajectory fallback; /* without points: none */
-    adaptrack_point points[ADAPTRACK_TRAJECTORY_POINTS]; /* of the fallback */
-    path_head heads[2];
-    double memories[2][ADAPTRACK_TRAJECTORY_WORDS]; /* see the kernel take_trajectory */
-#if ADAPTRACK_SPEED_CONTROL
-    struct {
-        plan_head head;
-        double numbers[ADAPTRACK_TRAJECTORY_PLAN_WORDS];
-    } plans[2];
-#endif
+    followed record; /* of the arrays behind it */
+    struct tracker_followed_FollowedMemory memory;
+    struct planned_records_PlannedMemory memory_before;
+    int64_t road, parts[2 * ADAPTRACK_PARTS];
+    double fallback[POINT_COLUMNS * ADAPTRACK_TRAJECTORY_POINTS];
+    double numbers[2 * (ADAPTRACK_TRAJECTORY_WORDS + ADAPTRACK_TRAJECTORY_PLAN_WORDS)]; /* of buffers and plans */
 } planner;
 typedef char planner_has_room[sizeof(planner) <= ADAPTRACK_PLANNER_SIZE ? 1 : -1];
 static const uint64_t PLANNER = 0x6e6c706b72746461u; /* "adtrkpln" */
-enum { POINT_COLUMNS = sizeof(adaptrack_point) / sizeof(double), BY_PLANNER = 1, BY_FALLBACK = 2 };
 
 static planner *planner_of(const void *tracker) {
     return (planner *)(uintptr_t)((const adaptrack_head *)tracker)->planner;
 }
 
-static planned_part *planned_of(void *tracker) { return &record_of(tracker)->tracker.planned; }
+static int follows_trajectory(const void *tracker) {
+    return planner_of(tracker) && planner_of(tracker)->memory.half >= 0;
+}
+
+static void connect_planner(planner *own, const struct vector *ahead) {
+    followed *record = &own->record;
+    double *plans = own->numbers + 2 * ADAPTRACK_TRAJECTORY_WORDS;
+    own->road = 0, own->memory.half = -1, own->memory.fallback_count = 0;
+    record->memory = rows_of_tracker_followed_FollowedMemory_of(&own->memory, 1);
+    record->buffers = matrix_of(own->numbers, 2, ADAPTRACK_TRAJECTORY_WORDS);
+    record->parts = whole_matrix_of(own->parts, 2, ADAPTRACK_PARTS);
+    record->plans = matrix_of(plans, 2, ADAPTRACK_TRAJECTORY_PLAN_WORDS);
+    record->ahead = vector_of(ahead->data, ADAPTRACK_LONGITUDINAL_CELLS);
+    record->road = whole_vector_of(&own->road, 1);
+    record->fallback = matrix_of(own->fallback, ADAPTRACK_TRAJECTORY_POINTS, POINT_COLUMNS);
+    record->memory_before = rows_of_planned_records_PlannedMemory_of(&own->memory_before, 1);
+    own->mark = PLANNER;
+}
 
 adaptrack_error adaptrack_planner(void *tracker, void *memory, size_t size) {
-    planner *own = (planner *)memory;
     adaptrack_error error;
     if (!memory || (uintptr_t)memory % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
-    if (size < sizeof *own) return ADAPTRACK_TOO_SMALL;
+    if (size < sizeof(planner)) return ADAPTRACK_TOO_SMALL;
     error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    if (planned_of(tracker)->points.size[0] > 0) {
+    if (follows_trajectory(tracker)) {
         error = ADAPTRACK_OUT_OF_ORDER;
     } else {
-        own->followed = 0, own->fallback.count = 0, own->mark = PLANNER;
-        ((adaptrack_head *)tracker)->planner = (uint64_t)(uintptr_t)own;
+        connect_planner((planner *)memory, &record_of(tracker)->longitudinal.ahead);
+        ((adaptrack_head *)tracker)->planner = (uint64_t)(uintptr_t)memory;
     }
     adaptrack_give(tracker);
     return error;
@@ -490,115 +495,22 @@ adaptrack_error adaptrack_planner(void *tracker, void *memory, size_t size) {
 
 /* Follow no trajectory any more. */
 static void leave_planner(void *tracker) {
-    planned_part *planned = planned_of(tracker);
+    planner *own = planner_of(tracker);
     adaptrack_leave_planner(&record_of(tracker)->tracker);
-    planned->speeds.s.size[0] = planned->speeds.speed.size[0] = 0;
-    planned->speeds.arrive.size[0] = planned->speeds.leave.size[0] = planned->points.size[0] = 0;
-    if (planner_of(tracker)) planner_of(tracker)->fallback.count = 0;
+    if (own) own->memory.half = -1, own->memory.fallback_count = 0;
 }
 
-#if ADAPTRACK_SPEED_CONTROL
-static double friction_low(void *tracker) { return record_of(tracker)->longitudinal.friction.memory.data->low; }
-
-/* Make the plan of the speed control from what take_trajectory has written, and let the record follow it. */
-static adaptrack_error put_trajectory_plan(void *tracker, int64_t which, const double *line, const speed_table *table,
-                                           double *stops, size_t stop_count) {
-    planner *own = planner_of(tracker);
-    plan_head *head = &own->plans[which].head;
-    adaptrack_speeds speeds = {0};
-    adaptrack_error error;
-    speeds.s = table->s, speeds.speed = table->speed, speeds.count = table->count;
-    speeds.stops = stops, speeds.seconds = stops + stop_count, speeds.stop_count = stop_count;
-    for (size_t i = 0; i < stop_count; i++) stops[stop_count + i] = INFINITY; /* there is room; left by the time */
-    error = write_plan(&own->heads[which], line, &speeds, head, own->plans[which].numbers,
-                       ADAPTRACK_TRAJECTORY_PLAN_WORDS, 0);
-    if (error != ADAPTRACK_OK) return error;
-    head->count = 0, head->mark = PLAN;
-    return put_plan(record_of(tracker), head);
-}
-#else
-static double friction_low(void *tracker) { return tracker ? NAN : 0.0; }
-#endif
-
-/* Follow what take_trajectory has written to a memory, and where. */
-static adaptrack_error follow_parts(void *tracker, struct tracker_planner_Arrival *arrival, int64_t which,
-                                    const int64_t *parts) {
-    planner *own = planner_of(tracker);
-    planned_part *planned = planned_of(tracker);
-    path_head *head = &own->heads[which];
-    double *memory = own->memories[which], *line = memory + parts[ADAPTRACK_PART_PATH_AT];
-    const double *columns = memory + parts[ADAPTRACK_PART_SPEEDS_AT];
-    const int64_t room = parts[ADAPTRACK_PART_ROOM], count = parts[ADAPTRACK_PART_SPEEDS];
-    const int64_t points = parts[ADAPTRACK_PART_POINTS];
-    const speed_table table = {columns, columns + room, (size_t)count};
-    write_head(head, line, 0);
-    head->id = adaptrack_crc32(line, 8u * NUMBERS) ^ adaptrack_crc32(columns + 2 * room, 8u * (size_t)count);
-#if ADAPTRACK_SPEED_CONTROL
-    {
-        double *stops = memory + parts[ADAPTRACK_PART_STOPS_AT];
-        const adaptrack_error error =
-            put_trajectory_plan(tracker, which, line, &table, stops, (size_t)parts[ADAPTRACK_PART_STOPS]);
-        if (error != ADAPTRACK_OK) return error;
-    }
-#endif
-    put_path(&record_of(tracker)->tracker, head, line, &table);
-    planned->speeds.s = vector_at(table.s, count), planned->speeds.speed = vector_at(table.speed, count);
-    planned->speeds.arrive = vector_at(columns + 2 * room, count);
-    planned->speeds.leave = vector_at(columns + 3 * room, count);
-    planned->points = matrix_at(memory, points < ADAPTRACK_KEPT_POINTS ? points : ADAPTRACK_KEPT_POINTS, 3);
-    adaptrack_begin_trajectory(arrival, &record_of(tracker)->tracker);
-    ((adaptrack_head *)tracker)->path = path_id(head, &(speed_table){0, 0, 0});
-    own->followed = which;
-    return ADAPTRACK_OK;
-}
-
-/* Take a trajectory in at its time, and follow it unless the verdict is another; nothing changes after an error. */
-static adaptrack_error go_over_to(void *tracker, const adaptrack_trajectory *trajectory, int64_t role,
-                                  adaptrack_verdict *verdict, size_t *flaw) {
-    planned_part *planned = planned_of(tracker);
-    const struct planned_records_PlannedMemory before = *planned->memory.data;
-    double far[ADAPTRACK_FAR_NUMBERS];
-    const int64_t next = 1 - planner_of(tracker)->followed;
-    struct tracker_planner_Arrival arrival;
-    int64_t parts[ADAPTRACK_PARTS];
-    adaptrack_word answers[3];
-    adaptrack_error error = ADAPTRACK_OK;
-    for (int i = 0; i < ADAPTRACK_FAR_NUMBERS; i++) far[i] = planned->far.data[i];
-    arrival.stamp = trajectory->stamp, arrival.time = trajectory->now;
-    arrival.role = role, arrival.is_urgent = trajectory->is_urgent != 0;
-    adaptrack_take_trajectory(&trajectory->points->t, (int64_t)trajectory->count, POINT_COLUMNS, &arrival,
-                              friction_low(tracker), &record_of(tracker)->tracker,
-                              planner_of(tracker)->memories[next], ADAPTRACK_TRAJECTORY_WORDS, parts, ADAPTRACK_PARTS,
-                              answers);
-    *verdict = (adaptrack_verdict)answers[0].whole, *flaw = (size_t)answers[2].whole;
-    if (answers[1].whole == ADAPTRACK_LINE_TOO_SMALL) error = ADAPTRACK_TOO_SMALL;
-    else if (answers[1].whole != 0 && answers[1].whole != ADAPTRACK_REVERSE_AHEAD) error = ADAPTRACK_BAD_TRAJECTORY;
-    else if (*verdict == ADAPTRACK_VERDICT_TAKEN) error = follow_parts(tracker, &arrival, next, parts);
-    if (error == ADAPTRACK_OK) return error;
-    *planned->memory.data = before;
-    for (int i = 0; i < ADAPTRACK_FAR_NUMBERS; i++) planned->far.data[i] = far[i];
-    return error;
-}
-
-/* ADAPTRACK_BAD_FALLBACK, and the point, unless a trajectory is possible and ends at rest. */
-static adaptrack_error check_fallback(void *tracker, const adaptrack_trajectory *fallback, size_t *flaw) {
-    double *nodes = planner_of(tracker)->memories[1 - planner_of(tracker)->followed];
-    const int64_t count = (int64_t)fallback->count;
-    adaptrack_word answers[3];
-    if (count == 0) return ADAPTRACK_BAD_FALLBACK;
-    adaptrack_condition(&fallback->points->t, count, POINT_COLUMNS, 0.0, 0.0, nodes, 2 * count + 2,
-                        ADAPTRACK_NODE_COLUMNS, answers);
-    *flaw = (size_t)answers[1].whole;
-    if (answers[2].whole == 0) return ADAPTRACK_BAD_FALLBACK;
-    nodes += (answers[2].whole - 1) * ADAPTRACK_NODE_COLUMNS;
-    if (!is_finite(nodes[ADAPTRACK_NODE_LEAVE])) return ADAPTRACK_OK;
-    *flaw = fallback->count - 1;
-    return ADAPTRACK_BAD_FALLBACK;
-}
-
-static void keep_fallback(planner *own, const adaptrack_trajectory *fallback, double now) {
-    for (size_t i = 0; i < fallback->count; i++) own->points[i] = fallback->points[i];
-    own->fallback = *fallback, own->fallback.points = own->points, own->fallback.now = now;
+/* Let the id of the path be that of the trajectory that is followed, as it is joined. */
+static void identify_trajectory(void *tracker) {
+    const planner *own = planner_of(tracker);
+    const int64_t *parts;
+    const double *buffer, *arrive;
+    if (!follows_trajectory(tracker) || own->mark != PLANNER) return;
+    parts = own->parts + own->memory.half * ADAPTRACK_PARTS;
+    buffer = own->numbers + own->memory.half * ADAPTRACK_TRAJECTORY_WORDS;
+    arrive = buffer + parts[ADAPTRACK_PART_SPEEDS_AT] + 2 * parts[ADAPTRACK_PART_ROOM];
+    ((adaptrack_head *)tracker)->path = 1u | (adaptrack_crc32(buffer + parts[ADAPTRACK_PART_PATH_AT], 8u * NUMBERS) ^
+                                              adaptrack_crc32(arrive, 8u * (size_t)parts[ADAPTRACK_PART_SPEEDS]));
 }
 
 static adaptrack_error check_points(const adaptrack_trajectory *trajectory) {
@@ -606,44 +518,51 @@ static adaptrack_error check_points(const adaptrack_trajectory *trajectory) {
     return trajectory->count <= ADAPTRACK_TRAJECTORY_POINTS ? ADAPTRACK_OK : ADAPTRACK_TOO_SMALL;
 }
 
+/* Hand a trajectory over that arrives at a time (s); `flaw` is the number of its point, or of the fallback's. */
+static adaptrack_error join_trajectory(void *tracker, const adaptrack_trajectory *trajectory, double now,
+                                       const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
+                                       size_t *flaw) {
+    struct tracker_planner_Arrival arrival = {trajectory->stamp, now, ADAPTRACK_DRIVEN_BY_PLANNER, trajectory->is_urgent != 0};
+    const double *points = (const double *)(const void *)trajectory->points; /* it has nothing but numbers */
+    const double *last_points = (const double *)(const void *)fallback->points;
+    adaptrack_word answers[3];
+    adaptrack_join_trajectory(points, (int64_t)trajectory->count, POINT_COLUMNS, &arrival, last_points,
+                              (int64_t)fallback->count, POINT_COLUMNS, fallback->is_urgent != 0, record_of(tracker),
+                              &planner_of(tracker)->record, answers);
+    *flaw = (size_t)answers[2].whole;
+    if (answers[0].whole == ADAPTRACK_BAD_FALLBACK_VERDICT) return ADAPTRACK_BAD_FALLBACK;
+    if (answers[1].whole == ADAPTRACK_FLAW_TOO_LONG) return ADAPTRACK_TOO_SMALL;
+    if (answers[1].whole == ADAPTRACK_FLAW_TOO_FAST) return ADAPTRACK_BAD_PLAN;
+    if (answers[1].whole != 0) return ADAPTRACK_BAD_TRAJECTORY;
+    *verdict = (adaptrack_verdict)answers[0].whole;
+    return ADAPTRACK_OK;
+}
+
 adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_trajectory *trajectory,
                                             const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
                                             size_t *flaw) {
-    adaptrack_trajectory arrived;
+    static const adaptrack_trajectory NONE = {0};
     adaptrack_error error;
     size_t place = 0;
+    double now;
     if (!trajectory || !verdict) return ADAPTRACK_BAD_ARGUMENT;
     error = check_points(trajectory);
     if (error == ADAPTRACK_OK && fallback) error = check_points(fallback);
     if (error == ADAPTRACK_OK) error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    arrived = *trajectory;
-    if (arrived.now != arrived.now) arrived.now = record_of(tracker)->tracker.memory.data->last;
+    now = trajectory->now == trajectory->now ? trajectory->now : record_of(tracker)->tracker.memory.data->last;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
-    else if (!planner_of(tracker) || !is_finite(arrived.now)) error = ADAPTRACK_OUT_OF_ORDER;
+    else if (!planner_of(tracker) || !is_finite(now)) error = ADAPTRACK_OUT_OF_ORDER;
     else if (planner_of(tracker)->mark != PLANNER) error = ADAPTRACK_NOT_READY;
-    if (error == ADAPTRACK_OK && fallback) error = check_fallback(tracker, fallback, &place);
-    if (error == ADAPTRACK_OK) error = go_over_to(tracker, &arrived, BY_PLANNER, verdict, &place);
-    if (error == ADAPTRACK_OK && fallback && *verdict <= ADAPTRACK_VERDICT_SAME)
-        keep_fallback(planner_of(tracker), fallback, arrived.now);
+    else if (fallback && fallback->count == 0) error = ADAPTRACK_BAD_FALLBACK;
+    else error = join_trajectory(tracker, trajectory, now, fallback ? fallback : &NONE, verdict, &place);
     if (flaw) *flaw = place;
     adaptrack_give(tracker);
     return error;
 }
-
-/* Go over to the fallback where the planner has fallen silent; without one that is fresh and fits, the car stops. */
-static void watch_planner(void *tracker, double now) {
-    planner *own = planner_of(tracker);
-    adaptrack_trajectory fallback;
-    adaptrack_verdict verdict;
-    size_t flaw;
-    if (!own || !is_finite(now) || !adaptrack_watch_planner(now, &record_of(tracker)->tracker)) return;
-    if (own->fallback.count == 0 || now - own->fallback.now > planned_of(tracker)->settings.data->fallback_age) return;
-    fallback = own->fallback, fallback.now = now;
-    (void)go_over_to(tracker, &fallback, BY_FALLBACK, &verdict, &flaw);
-}
 #else
 static void leave_planner(void *tracker) { (void)tracker; }
+static void identify_trajectory(void *tracker) { (void)tracker; }
 #endif
 
 /* Go over to a path and its plan; `memory`: of the plan, null in an export without speed control. */
@@ -654,7 +573,7 @@ static adaptrack_error follow(void *tracker, const path_head *head, double near,
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
     else error = put_plan(record_of(tracker), memory);
     if (error == ADAPTRACK_OK) {
-        put_path(&record_of(tracker)->tracker, head, road_of(head), plan);
+        put_path(&record_of(tracker)->tracker, head, plan);
         leave_planner(tracker);
         adaptrack_tracker_follow(near, &record_of(tracker)->tracker);
         ((adaptrack_head *)tracker)->path = path_id(head, plan) ^ plan_id(memory);
@@ -716,11 +635,11 @@ static void read_answer(const double *tracked, adaptrack_answer *answer) {
 static adaptrack_error check_path(void *tracker) {
     const adaptrack_head *own = (const adaptrack_head *)tracker;
     const path_head *head;
-    if (own->path == 0) return ADAPTRACK_OUT_OF_ORDER;
 #if ADAPTRACK_PLANNER
-    if (planned_of(tracker)->points.size[0] > 0)
-        return planner_of(tracker)->mark == PLANNER ? ADAPTRACK_OK : ADAPTRACK_BAD_PATH;
+    if (planner_of(tracker) && planner_of(tracker)->mark != PLANNER) return ADAPTRACK_BAD_PATH;
+    if (follows_trajectory(tracker)) return ADAPTRACK_OK;
 #endif
+    if (own->path == 0) return ADAPTRACK_OUT_OF_ORDER;
     head = (const path_head *)(const void *)record_of(tracker)->tracker.path.numbers.data - 1;
     if (head->mark != PATH || head->id != own->points) return ADAPTRACK_BAD_PATH;
 #if ADAPTRACK_SPEED_CONTROL
@@ -740,15 +659,16 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
     error = adaptrack_arithmetic();
     if (error == ADAPTRACK_OK) error = check_path(tracker);
     if (error == ADAPTRACK_OK) {
-#if ADAPTRACK_PLANNER
-        watch_planner(tracker, sample->now == sample->now ? sample->now : sample->t);
-#endif
         row = record_of(tracker)->tracker.sample.data;
         for (size_t i = 0; i < sizeof *sample / sizeof *row; i++) row[i] = signals[i];
-        adaptrack_tracker_step(record_of(tracker));
+#if ADAPTRACK_PLANNER
+        if (planner_of(tracker)) adaptrack_trajectory_step(record_of(tracker), &planner_of(tracker)->record);
+        else
+#endif
+            adaptrack_tracker_step(record_of(tracker));
         read_answer(record_of(tracker)->tracker.tracked.data, answer);
 #if ADAPTRACK_PLANNER && !ADAPTRACK_SPEED_CONTROL
-        answer->target_speed = answer->driven_by > 0 ? planned_of(tracker)->memory.data->target_speed : NAN;
+        answer->target_speed = answer->driven_by > 0 ? record_of(tracker)->tracker.planned.memory.data->target_speed : NAN;
 #endif
 #if ADAPTRACK_SPEED_CONTROL
         read_requests(record_of(tracker), answer);
@@ -768,7 +688,13 @@ adaptrack_error adaptrack_predicted_path(void *tracker, double *points, size_t r
     if (error == ADAPTRACK_OK) error = check_path(tracker);
     if (error == ADAPTRACK_OK) {
         if (room > ADAPTRACK_HORIZON) room = ADAPTRACK_HORIZON;
-        adaptrack_tracker_predict(record_of(tracker), points, 2 * (int64_t)room, answers);
+#if ADAPTRACK_PLANNER
+        if (planner_of(tracker))
+            adaptrack_trajectory_predict(record_of(tracker), &planner_of(tracker)->record, points, 2 * (int64_t)room,
+                                         answers);
+        else
+#endif
+            adaptrack_tracker_predict(record_of(tracker), points, 2 * (int64_t)room, answers);
         *count = (size_t)answers[0].whole, *first = answers[1].number;
         if (*count > room) error = ADAPTRACK_TOO_SMALL;
     }
@@ -782,6 +708,7 @@ size_t adaptrack_state_size(const void *tracker) { return adaptrack_saved_size(t
 adaptrack_error adaptrack_save(void *tracker, void *state, size_t size) {
     adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
+    identify_trajectory(tracker);
     error = adaptrack_save_state(tracker, state, size);
     adaptrack_give(tracker);
     return error;
@@ -790,6 +717,7 @@ adaptrack_error adaptrack_save(void *tracker, void *state, size_t size) {
 adaptrack_error adaptrack_restore(void *tracker, const void *state, size_t size) {
     adaptrack_error error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
+    identify_trajectory(tracker);
     error = adaptrack_restore_state(tracker, state, size);
     adaptrack_give(tracker);
     return error;
