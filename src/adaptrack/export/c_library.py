@@ -28,7 +28,7 @@ from adaptrack.core.kernel import Field, fields_of
 from adaptrack.core.planned.clock import VERDICT
 from adaptrack.core.planned.records import POINT
 from adaptrack.core.roads import path, road
-from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, speed_path_words
+from adaptrack.core.speed.path import PLACE_SPACING, speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.tracker.followed import BAD_FALLBACK, FLAW
 from adaptrack.core.tracker.planner import PARTS
@@ -301,8 +301,6 @@ def _layout_header(memory: CMemory) -> str:
         "KERNELS": f"{kernels_number():#x}u", "LAYOUT": f"{memory.layout:#x}u",
         "LONGITUDINAL_CELLS": record.longitudinal.ahead.size,
     }  # fmt: skip
-    if has_speed:
-        numbers |= {"PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL}
     if record.tracker.planned.settings.size:
         words, plan_words = trajectory_words(TRAJECTORY_POINTS, has_speed)
         numbers |= {

@@ -22,11 +22,9 @@ from adaptrack.core.input_check.record import Settings as CheckSettings
 from adaptrack.core.kernel import direct
 from adaptrack.core.models import path
 from adaptrack.core.models.car import SingleTrackCar
-from adaptrack.core.planned.records import PLANNED_MEMORY, POINT
 from adaptrack.core.speed.path import speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST, SpeedPath
 from adaptrack.core.tracker import planner
-from adaptrack.core.tracker.followed import FOLLOWED_MEMORY, Followed
 from adaptrack.core.tracker.longitudinal import write_requests
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.export.memory import ArrayRoles, CMemory, kernel_names
@@ -91,16 +89,6 @@ def trajectory_words(points: int, has_speed: bool) -> tuple[int, int]:
     words = planner.trajectory_words(points, planner.KEPT_POINTS, planner.TRAJECTORY_LENGTH)
     longest = planner.TRAJECTORY_LENGTH + planner.LENGTH_ROOM
     return words, speed_path_words(longest, 0, points + 2) if has_speed else 0
-
-
-def followed_memory(points: int, cells: int) -> Followed:
-    """Memory of a tracker for trajectories of at most so many points; cells: ahead of a speed control, 0 without one."""
-    words, plan_words = trajectory_words(points, cells > 0)
-    return Followed(
-        FOLLOWED_MEMORY.new(1, half=-1), np.zeros((2, words)), np.zeros((2, len(planner.PARTS)), np.int64),
-        np.zeros((2, plan_words)), np.zeros(cells), np.zeros(1, np.int64), np.zeros((points, len(POINT))),
-        PLANNED_MEMORY.new(1),
-    )  # fmt: skip
 
 
 def refuse(controller: Any) -> None:

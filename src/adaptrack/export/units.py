@@ -25,14 +25,16 @@ from adaptrack.control.speed_control import (
     speed_path,
 )
 from adaptrack.core.kernel import Field
-from adaptrack.core.planned.records import POINT
+from adaptrack.core.planned.records import PLANNED_MEMORY, POINT
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.core.simulation.run import RunInputs
 from adaptrack.core.simulation.world import SIGNAL
+from adaptrack.core.tracker.followed import FOLLOWED_MEMORY, Followed
+from adaptrack.core.tracker.planner import PARTS
 from adaptrack.core.units import car, controller, follower
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
-from adaptrack.export.tracking import ROLES, followed_memory, refuse, room_of, small_record_of
+from adaptrack.export.tracking import ROLES, refuse, room_of, small_record_of, trajectory_words
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -232,10 +234,15 @@ def controller_unit(
         record = controller.SteeringUnit(*_columns(values), tracking=tracking, points=np.zeros(2 * horizon))
         return Unit("controller", title, record, values, constants)
     all_values = values + _follower_values(trajectory_points, speed is not None)
+    words, plan_words = trajectory_words(trajectory_points, speed is not None)
+    room = trajectory_points, len(POINT)
+    followed = Followed(
+        FOLLOWED_MEMORY.new(1, half=-1), np.zeros((2, words)), np.zeros((2, len(PARTS)), np.int64),
+        np.zeros((2, plan_words)), np.zeros(cells), np.zeros(1, np.int64), np.zeros(room), PLANNED_MEMORY.new(1),
+    )  # fmt: skip
     record = follower.FollowerUnit(
         *_columns(all_values), tracking=tracking, points=np.zeros(2 * horizon), first=len(values),
-        followed=followed_memory(trajectory_points, cells), trajectory=np.zeros((trajectory_points, len(POINT))),
-        fallback=np.zeros((trajectory_points, len(POINT))), handed_over=np.zeros(2),
+        followed=followed, trajectory=np.zeros(room), fallback=np.zeros(room), handed_over=np.zeros(2),
     )  # fmt: skip
     return Unit("controller", f"{title}, follows trajectories", record, all_values, (*constants, "followed.road"))
 

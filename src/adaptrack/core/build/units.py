@@ -38,8 +38,8 @@ PAGE_CALLS = (
     "plan_places", "plan_along_road", "plan_constant", "drive_periods", "drive_samples", "drive_start",
     "complete_samples",
     # a planner, and the tracker that follows it
-    "check_settings", "tracker_engage", "tracker_apply", "trajectory_words", "join_trajectory", "trajectory_step",
-    "trajectory_predict",
+    "check_settings", "tracker_engage", "tracker_apply", "tracker_step", "tracker_predict", "watch_planner",
+    "trajectory_words", "take_trajectory", "begin_trajectory", "longitudinal_follow",
     "project_all", "planned_speeds", "plan_motion", "elementary_values", "counted_normal",
 )  # fmt: skip
 """The kernels that the driving page calls by name."""

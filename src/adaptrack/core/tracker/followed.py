@@ -32,7 +32,7 @@ from ..kernel import (
 from ..planned import condition
 from ..planned.clock import VERDICT
 from ..planned.meant_line import FAR_PLACES
-from ..planned.records import FALLBACK, NODE, PLANNED_MEMORY, Planned, PlannedSpeeds
+from ..planned.records import FALLBACK, NODE, PLANNED_MEMORY, Planned
 from ..planning.station_table import AlongRecord
 from ..roads import path, road
 from ..speed.path import (
@@ -65,12 +65,6 @@ _FLAWS = {
 }
 FLAW = columns(*(Field(name, "", 0, meaning) for name, meaning in _FLAWS.items()))
 """Why a trajectory or a fallback is impossible."""
-_FLAW_STATUSES = (
-    (condition.BAD_NUMBER, FLAW.bad_number), (condition.FALLING_TIME, FLAW.falling_time),
-    (condition.PLACE_JUMP, FLAW.place_jump), (condition.WRONG_YAW, FLAW.wrong_yaw),
-    (condition.WRONG_SPEED, FLAW.wrong_speed),
-    (planner.LINE_FLAW + path.TOO_SMALL, FLAW.too_long),
-)  # fmt: skip
 BAD_TRAJECTORY, BAD_FALLBACK = len(VERDICT), len(VERDICT) + 1
 """Verdicts in addition to `VERDICT`: the trajectory, or the fallback that came with it, is impossible."""
 
@@ -105,27 +99,18 @@ _copy_memory, _far_before = copier(PLANNED_MEMORY), local(2 * FAR_PLACES)
 
 # -- the tracker along a trajectory -----------------------------------------------------------------------------------
 @inlined
-def _line_of(half, followed):
-    """The centre line, and the table of headings, of the trajectory in a buffer."""
-    return path.line_in(followed.buffers[half, followed.parts[half, PARTS.path_at] :])
-
-
-@inlined
-def _speeds_of(half, followed):
-    """`PlannedSpeeds` of the trajectory in a buffer."""
+def _trajectory_in(half, followed):
+    """The centre line, the table of headings and the speeds (`PlannedSpeeds`) of the trajectory in a buffer."""
     parts = followed.parts[half]
-    first, room, count = parts[PARTS.speeds_at], parts[PARTS.room], parts[PARTS.speeds]
-    columns_of_speeds = shaped(followed.buffers[half, first : first + 4 * room], 4, room)
-    return PlannedSpeeds(
-        columns_of_speeds[0, :count], columns_of_speeds[1, :count], columns_of_speeds[2, :count],
-        columns_of_speeds[3, :count],
-    )  # fmt: skip
+    buffers = planner.buffers_in(followed.buffers[half], parts[PARTS.room])
+    line, headings = path.line_in(buffers.path)
+    return line, headings, planner.first_speeds(parts[PARTS.speeds], buffers.speeds)
 
 
 @inlined
 def _speed_control_along(half, control, followed):
     """The speed control along the trajectory in a buffer."""
-    line, _ = _line_of(half, followed)
+    line, _, _ = _trajectory_in(half, followed)
     length, plan, stops = line.numbers[road.LENGTH], followed.plans[half], followed.memory[0].stops
     cells = cells_along(length, False)
     end = 4 * cells
@@ -142,11 +127,10 @@ def _speed_control_along(half, control, followed):
 @inlined
 def _tracker_along(half, tracker, followed):
     """The tracker along the trajectory in a buffer."""
-    speeds, planned = _speeds_of(half, followed), tracker.planned
-    line, headings = _line_of(half, followed)
+    line, headings, speeds = _trajectory_in(half, followed)
     numbers = shaped(line.numbers, 1, len(road.LINE_NUMBERS))
     roads = road.Roads(followed.road, numbers, line.start, line.pieces, headings)
-    count = followed.parts[half, PARTS.points]
+    planned, count = tracker.planned, followed.parts[half, PARTS.points]
     points = shaped(followed.buffers[half, : 3 * count], count, 3)
     return TrackerRecord(
         tracker.settings, tracker.memory, tracker.sample, roads, PlanRecord(speeds.s, speeds.speed), tracker.measured,
@@ -169,12 +153,11 @@ def tracking_along(tracking, followed):
 @inlined
 def _flaw_of(status):
     """`FLAW` of a status of `planner.take_trajectory` or `condition`."""
-    if status == OK or status == condition.REVERSE_AHEAD:
-        return FLAW.none
-    for flaw_status, flaw in _FLAW_STATUSES:
-        if status == flaw_status:
-            return flaw
-    return FLAW.no_line
+    if condition.BAD_NUMBER <= status <= condition.WRONG_SPEED:  # these have the order of `FLAW`
+        return status - condition.BAD_NUMBER + FLAW.bad_number
+    if status == planner.LINE_FLAW + path.TOO_SMALL:
+        return FLAW.too_long
+    return FLAW.none if status == OK or status == condition.REVERSE_AHEAD else FLAW.no_line
 
 
 @inlined
@@ -182,8 +165,8 @@ def _write_plan(half, tracking, followed):
     """Write the plan of the speed control for the trajectory in a buffer; `FLAW`."""
     if tracking.control_speed == 0:
         return FLAW.none
-    parts, buffer, speeds = followed.parts[half], followed.buffers[half], _speeds_of(half, followed)
-    line, _ = _line_of(half, followed)
+    parts, buffer = followed.parts[half], followed.buffers[half]
+    line, _, speeds = _trajectory_in(half, followed)
     first, count, top_speed = parts[PARTS.stops_at], parts[PARTS.stops], 0.0
     stops, seconds = buffer[first : first + count], buffer[first + count : first + 2 * count]
     seconds[:] = math.inf  # the car leaves by the times
@@ -248,10 +231,10 @@ def _flaw_of_fallback(points, followed):
 
 @exported(several(int64, int64, int64)(matrix, Arrival, matrix, int64, Place(Tracking), Place(Followed)))
 def join_trajectory(points, arrival, fallback, fallback_urgent, tracking, followed):
-    """Follow a trajectory if it is taken, and store its fallback, both (n, 7) `POINT`; without points the one before
-    stays.
+    """Follow a trajectory if it is taken, and store its fallback, both `POINT` (n, 7).
 
-    Return the verdict, `FLAW` and the index of the point that it is about. The car goes on as before after a flaw.
+    A fallback without points leaves the one before. Return the verdict, `FLAW` and the index of the point that it is
+    about. After a flaw the car goes on as before.
     """
     memory, count = followed.memory[0], len(fallback)
     if count > 0:

@@ -98,7 +98,7 @@ def trajectory_words(count, old_count, length):
 
 
 @inlined
-def _buffers_in(buffer, room):
+def buffers_in(buffer, room):
     """Return the parts of a buffer."""
     points, nodes = shaped(buffer[: 3 * room], room, 3), shaped(buffer[3 * room : 8 * room], room, len(NODE))
     feet, path_feet = buffer[8 * room : 10 * room], buffer[10 * room : _SPEEDS_AT * room]
@@ -225,10 +225,15 @@ def _write_speeds(count, line, buffers):
 
 
 @inlined
+def first_speeds(count, speeds):
+    """The first `count` places of speeds (`PlannedSpeeds`)."""
+    return PlannedSpeeds(speeds.s[:count], speeds.speed[:count], speeds.arrive[:count], speeds.leave[:count])
+
+
+@inlined
 def _shift_times(time, station, count, speeds):
     """Shift the times of the first `count` places so that a car at a station (m) is on time at a time (s)."""
-    places = PlannedSpeeds(speeds.s[:count], speeds.speed[:count], speeds.arrive[:count], speeds.leave[:count])
-    shift = time - time_at(station, places)
+    shift = time - time_at(station, first_speeds(count, speeds))
     for k in range(count):
         speeds.arrive[k], speeds.leave[k] = speeds.arrive[k] + shift, speeds.leave[k] + shift
 
@@ -283,7 +288,7 @@ def take_trajectory(points, arrival, friction, tracker, buffer, parts):
             memory.stamp, memory.arrival = max(memory.stamp, arrival.stamp), arrival.time
             return clock.VERDICT.same, OK, 0
     room = _room_for(len(points), len(planned.points))
-    buffers = _buffers_in(buffer, room)
+    buffers = buffers_in(buffer, room)
     nodes = buffers.nodes
     status, entry, count = condition(points, settings.tracked_arm, begins, nodes)
     if count == 0:

@@ -185,38 +185,6 @@ static size_t plan_numbers(const path_head *path, const adaptrack_speeds *speeds
            (size_t)adaptrack_speed_path_words(length, (int64_t)path->closed, (int64_t)speeds->stop_count);
 }
 
-/* Write what the kernel makes of speeds along a road in `size` numbers, and the plan's head. */
-static adaptrack_error write_plan(const path_head *road, const adaptrack_speeds *speeds, plan_head *head,
-                                  double *numbers, size_t size, adaptrack_flaw *flaw) {
-    const double *line = road_of(road);
-    const size_t count = speeds->count;
-    struct speed_path_PlanArrays arrays;
-    adaptrack_word answers[2];
-    arrays.line.start = vector_at(line + NUMBERS + COLUMNS * road->pieces, road->pieces + 1);
-    arrays.line.pieces = matrix_at(line + NUMBERS, road->pieces, COLUMNS);
-    arrays.line.numbers = vector_at(line, NUMBERS);
-    arrays.s = vector_at(speeds->s, (int64_t)count), arrays.speed = vector_at(speeds->speed, (int64_t)count);
-    arrays.grade.s = vector_at(speeds->grade.s, (int64_t)speeds->grade.count);
-    arrays.grade.value = vector_at(speeds->grade.value, (int64_t)speeds->grade.count);
-    arrays.bank.s = vector_at(speeds->bank.s, (int64_t)speeds->bank.count);
-    arrays.bank.value = vector_at(speeds->bank.value, (int64_t)speeds->bank.count);
-    arrays.stops = vector_at(speeds->stops, (int64_t)speeds->stop_count);
-    arrays.seconds = vector_at(speeds->seconds, (int64_t)speeds->stop_count);
-    arrays.grade.steps = arrays.bank.steps = 0, arrays.stops_at_end = speeds->stays_at_end != 0;
-    head->length = line[ADAPTRACK_ROAD_LENGTH], head->closed = (int64_t)road->closed;
-    head->cells = (adaptrack_speed_path_words(head->length, head->closed, 0) - 2) / 4;
-    adaptrack_write_speed_path(&arrays, numbers, (int64_t)size, answers);
-    if (answers[0].whole == ADAPTRACK_PLAN_MEMORY_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
-    if (answers[0].whole != 0) {
-        if (flaw) flaw->array = (adaptrack_plan_array)answers[0].whole, flaw->index = (size_t)answers[1].whole;
-        return ADAPTRACK_BAD_PLAN;
-    }
-    head->stops = answers[1].whole, head->top_speed = 0.0;
-    for (size_t i = 0; i < count; i++)
-        if (speeds->speed[i] > head->top_speed) head->top_speed = speeds->speed[i];
-    return ADAPTRACK_OK;
-}
-
 static int is_table(const double *first, const double *second, size_t count) {
     return count <= ADAPTRACK_MOST_POINTS && (count == 0 || (first && second));
 }
@@ -233,24 +201,52 @@ size_t adaptrack_speed_plan_size(const void *path, const adaptrack_speeds *speed
     return head && are_tables(speeds) ? sizeof(plan_head) + 8u * plan_numbers(head, speeds) : 0;
 }
 
+/* Tables of the caller along a road. */
+static struct speed_path_PlanArrays arrays_of(const path_head *road, const adaptrack_speeds *speeds) {
+    const double *line = road_of(road);
+    struct speed_path_PlanArrays arrays;
+    arrays.line.start = vector_at(line + NUMBERS + COLUMNS * road->pieces, road->pieces + 1);
+    arrays.line.pieces = matrix_at(line + NUMBERS, road->pieces, COLUMNS);
+    arrays.line.numbers = vector_at(line, NUMBERS);
+    arrays.s = vector_at(speeds->s, (int64_t)speeds->count);
+    arrays.speed = vector_at(speeds->speed, (int64_t)speeds->count);
+    arrays.grade.s = vector_at(speeds->grade.s, (int64_t)speeds->grade.count);
+    arrays.grade.value = vector_at(speeds->grade.value, (int64_t)speeds->grade.count);
+    arrays.bank.s = vector_at(speeds->bank.s, (int64_t)speeds->bank.count);
+    arrays.bank.value = vector_at(speeds->bank.value, (int64_t)speeds->bank.count);
+    arrays.stops = vector_at(speeds->stops, (int64_t)speeds->stop_count);
+    arrays.seconds = vector_at(speeds->seconds, (int64_t)speeds->stop_count);
+    arrays.grade.steps = arrays.bank.steps = 0, arrays.stops_at_end = speeds->stays_at_end != 0;
+    return arrays;
+}
+
 adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *speeds, void *plan, size_t plan_size,
                                      adaptrack_flaw *flaw) {
     const path_head *road = head_of(path);
     plan_head *head = (plan_head *)plan;
+    struct speed_path_PlanArrays arrays;
+    adaptrack_word answers[2];
     double *numbers;
     size_t tables, count;
-    adaptrack_error error;
     if (flaw) flaw->array = ADAPTRACK_PLAN_NO_FLAW, flaw->index = 0;
     if (!road) return ADAPTRACK_BAD_PATH;
     if (!are_tables(speeds) || !plan || (uintptr_t)plan % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) return ADAPTRACK_ARITHMETIC;
     if (plan_size < adaptrack_speed_plan_size(path, speeds)) return ADAPTRACK_TOO_SMALL;
     count = speeds->count, tables = 2u * count;
-    head->mark = 0;
-    numbers = (double *)(void *)(head + 1);
-    error = write_plan(road, speeds, head, numbers + tables, plan_numbers(road, speeds) - tables, flaw);
-    if (error != ADAPTRACK_OK) return error;
-    for (size_t i = 0; i < count; i++) numbers[i] = speeds->s[i], numbers[count + i] = speeds->speed[i];
+    head->mark = 0, head->length = road_of(road)[ADAPTRACK_ROAD_LENGTH], head->closed = (int64_t)road->closed;
+    head->cells = (adaptrack_speed_path_words(head->length, head->closed, 0) - 2) / 4;
+    numbers = (double *)(void *)(head + 1), arrays = arrays_of(road, speeds);
+    adaptrack_write_speed_path(&arrays, numbers + tables, (int64_t)(plan_numbers(road, speeds) - tables), answers);
+    if (answers[0].whole != 0) {
+        if (flaw) flaw->array = (adaptrack_plan_array)answers[0].whole, flaw->index = (size_t)answers[1].whole;
+        return ADAPTRACK_BAD_PLAN;
+    }
+    head->stops = answers[1].whole, head->top_speed = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        numbers[i] = speeds->s[i], numbers[count + i] = speeds->speed[i];
+        if (speeds->speed[i] > head->top_speed) head->top_speed = speeds->speed[i];
+    }
     head->count = (int64_t)count, head->path = road->id;
     head->id = adaptrack_crc32(numbers, 8u * (tables + 4u * (size_t)head->cells + 2u * (size_t)head->stops));
     head->mark = PLAN;
@@ -500,17 +496,21 @@ static void leave_planner(void *tracker) {
     if (own) own->memory.half = -1, own->memory.fallback_count = 0;
 }
 
-/* Let the id of the path be that of the trajectory that is followed, as it is joined. */
+/* Set the id of the path to that of the followed trajectory: of its line, as it is joined, and its times. */
 static void identify_trajectory(void *tracker) {
     const planner *own = planner_of(tracker);
     const int64_t *parts;
-    const double *buffer, *arrive;
+    const double *points, *times;
     if (!follows_trajectory(tracker) || own->mark != PLANNER) return;
     parts = own->parts + own->memory.half * ADAPTRACK_PARTS;
-    buffer = own->numbers + own->memory.half * ADAPTRACK_TRAJECTORY_WORDS;
-    arrive = buffer + parts[ADAPTRACK_PART_SPEEDS_AT] + 2 * parts[ADAPTRACK_PART_ROOM];
-    ((adaptrack_head *)tracker)->path = 1u | (adaptrack_crc32(buffer + parts[ADAPTRACK_PART_PATH_AT], 8u * NUMBERS) ^
-                                              adaptrack_crc32(arrive, 8u * (size_t)parts[ADAPTRACK_PART_SPEEDS]));
+    points = own->numbers + own->memory.half * ADAPTRACK_TRAJECTORY_WORDS;
+    times = points + parts[ADAPTRACK_PART_SPEEDS_AT] + 2 * parts[ADAPTRACK_PART_ROOM];
+    ((adaptrack_head *)tracker)->path = 1u | (adaptrack_crc32(points, 24u * (size_t)parts[ADAPTRACK_PART_POINTS]) ^
+                                              adaptrack_crc32(times, 8u * (size_t)parts[ADAPTRACK_PART_SPEEDS]));
+}
+
+static const double *numbers_of(const adaptrack_trajectory *trajectory) {
+    return (const double *)(const void *)trajectory->points; /* they have nothing but numbers */
 }
 
 static adaptrack_error check_points(const adaptrack_trajectory *trajectory) {
@@ -518,45 +518,41 @@ static adaptrack_error check_points(const adaptrack_trajectory *trajectory) {
     return trajectory->count <= ADAPTRACK_TRAJECTORY_POINTS ? ADAPTRACK_OK : ADAPTRACK_TOO_SMALL;
 }
 
-/* Hand a trajectory over that arrives at a time (s); `flaw` is the number of its point, or of the fallback's. */
-static adaptrack_error join_trajectory(void *tracker, const adaptrack_trajectory *trajectory, double now,
-                                       const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
-                                       size_t *flaw) {
-    struct tracker_planner_Arrival arrival = {trajectory->stamp, now, ADAPTRACK_DRIVEN_BY_PLANNER, trajectory->is_urgent != 0};
-    const double *points = (const double *)(const void *)trajectory->points; /* it has nothing but numbers */
-    const double *last_points = (const double *)(const void *)fallback->points;
-    adaptrack_word answers[3];
-    adaptrack_join_trajectory(points, (int64_t)trajectory->count, POINT_COLUMNS, &arrival, last_points,
-                              (int64_t)fallback->count, POINT_COLUMNS, fallback->is_urgent != 0, record_of(tracker),
-                              &planner_of(tracker)->record, answers);
-    *flaw = (size_t)answers[2].whole;
-    if (answers[0].whole == ADAPTRACK_BAD_FALLBACK_VERDICT) return ADAPTRACK_BAD_FALLBACK;
-    if (answers[1].whole == ADAPTRACK_FLAW_TOO_LONG) return ADAPTRACK_TOO_SMALL;
-    if (answers[1].whole == ADAPTRACK_FLAW_TOO_FAST) return ADAPTRACK_BAD_PLAN;
-    if (answers[1].whole != 0) return ADAPTRACK_BAD_TRAJECTORY;
-    *verdict = (adaptrack_verdict)answers[0].whole;
-    return ADAPTRACK_OK;
+static adaptrack_error error_of(int64_t verdict, int64_t flaw) {
+    if (verdict == ADAPTRACK_BAD_FALLBACK_VERDICT) return ADAPTRACK_BAD_FALLBACK;
+    if (flaw == ADAPTRACK_FLAW_TOO_LONG) return ADAPTRACK_TOO_SMALL;
+    if (flaw == ADAPTRACK_FLAW_TOO_FAST) return ADAPTRACK_BAD_PLAN;
+    return flaw == 0 ? ADAPTRACK_OK : ADAPTRACK_BAD_TRAJECTORY;
 }
 
 adaptrack_error adaptrack_follow_trajectory(void *tracker, const adaptrack_trajectory *trajectory,
                                             const adaptrack_trajectory *fallback, adaptrack_verdict *verdict,
                                             size_t *flaw) {
     static const adaptrack_trajectory NONE = {0};
+    const adaptrack_trajectory *last = fallback ? fallback : &NONE;
+    struct tracker_planner_Arrival arrival;
+    adaptrack_word answers[3] = {{0}};
     adaptrack_error error;
-    size_t place = 0;
-    double now;
     if (!trajectory || !verdict) return ADAPTRACK_BAD_ARGUMENT;
     error = check_points(trajectory);
-    if (error == ADAPTRACK_OK && fallback) error = check_points(fallback);
+    if (error == ADAPTRACK_OK) error = check_points(last);
     if (error == ADAPTRACK_OK) error = adaptrack_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    now = trajectory->now == trajectory->now ? trajectory->now : record_of(tracker)->tracker.memory.data->last;
+    arrival.stamp = trajectory->stamp, arrival.time = trajectory->now, arrival.is_urgent = trajectory->is_urgent != 0;
+    if (arrival.time != arrival.time) arrival.time = record_of(tracker)->tracker.memory.data->last;
+    arrival.role = ADAPTRACK_DRIVEN_BY_PLANNER;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
-    else if (!planner_of(tracker) || !is_finite(now)) error = ADAPTRACK_OUT_OF_ORDER;
+    else if (!planner_of(tracker) || !is_finite(arrival.time)) error = ADAPTRACK_OUT_OF_ORDER;
     else if (planner_of(tracker)->mark != PLANNER) error = ADAPTRACK_NOT_READY;
     else if (fallback && fallback->count == 0) error = ADAPTRACK_BAD_FALLBACK;
-    else error = join_trajectory(tracker, trajectory, now, fallback ? fallback : &NONE, verdict, &place);
-    if (flaw) *flaw = place;
+    if (error == ADAPTRACK_OK) {
+        adaptrack_join_trajectory(numbers_of(trajectory), (int64_t)trajectory->count, POINT_COLUMNS, &arrival,
+                                  numbers_of(last), (int64_t)last->count, POINT_COLUMNS, last->is_urgent != 0,
+                                  record_of(tracker), &planner_of(tracker)->record, answers);
+        error = error_of(answers[0].whole, answers[1].whole);
+        if (error == ADAPTRACK_OK) *verdict = (adaptrack_verdict)answers[0].whole;
+    }
+    if (flaw) *flaw = (size_t)answers[2].whole;
     adaptrack_give(tracker);
     return error;
 }
@@ -668,7 +664,9 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
             adaptrack_tracker_step(record_of(tracker));
         read_answer(record_of(tracker)->tracker.tracked.data, answer);
 #if ADAPTRACK_PLANNER && !ADAPTRACK_SPEED_CONTROL
-        answer->target_speed = answer->driven_by > 0 ? record_of(tracker)->tracker.planned.memory.data->target_speed : NAN;
+        answer->target_speed = NAN;
+        if (answer->driven_by > 0)
+            answer->target_speed = record_of(tracker)->tracker.planned.memory.data->target_speed;
 #endif
 #if ADAPTRACK_SPEED_CONTROL
         read_requests(record_of(tracker), answer);
