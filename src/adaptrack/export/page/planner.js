@@ -186,7 +186,7 @@ function attachTracker(own, { car: whole }, controller, run) {
     drift_stiffness: 2 * car.stiffness_rear * (car.lf + car.lr),
     first_top_speed: learns ? memory.call("first_top_speed", parts.learner) : Infinity,
   });
-  tracker.planned.settings.row(0).$set({ position_noise: known.position_noise, period });
+  tracker.planned.settings.row(0).$set({ period });
   memory.call("check_settings", car, period, delay, known.position_noise, tracker.check.settings);
   record.longitudinal.settings.patience = known.patience;
   record.controller.$copy(run.controller).$set({ takes_late: known.takes_late });
