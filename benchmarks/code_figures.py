@@ -30,31 +30,31 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 """around the table in a page"""
 
 CEILINGS: Mapping[str, int] = {
-    "base": 2270,
-    "core": 27450,
-    "cars": 2160,
-    "road": 4930,
+    "base": 2090,
+    "core": 27910,
+    "cars": 2140,
+    "road": 5000,
     "scenario": 1850,
-    "control": 7590,
-    "drive": 3210,
-    "analysis": 1910,
-    "identification": 5050,
-    "tuning": 1630,
-    "comparison": 2060,
-    "paper": 4170,
-    "export": 3120,
-    "gym": 1300,
-    "results": 4750,
-    "cli": 3410,
+    "control": 7540,
+    "drive": 3190,
+    "analysis": 1880,
+    "identification": 4970,
+    "tuning": 1600,
+    "comparison": 2000,
+    "paper": 4090,
+    "export": 3220,
+    "gym": 1280,
+    "results": 4630,
+    "cli": 3290,
     "adaptrack": 40,
-    "JavaScript, templates, C": 10080,
-    "tests": 44860,
-    "benchmarks, tools, experiments, examples": 17270,
+    "JavaScript, templates, C": 10400,
+    "tests": 45970,
+    "benchmarks, tools, experiments, examples": 17350,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 76_840
+SOURCE_LINES = 76_660
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 
