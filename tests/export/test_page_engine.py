@@ -315,6 +315,14 @@ def test_a_controller_behind_a_planner_is_touched_while_it_drives(ask):
     assert (columns["driven_by"] == 1.0).all()
 
 
+def test_a_planner_whose_points_are_too_noisy_to_be_followed_ends_the_drive_with_a_sentence(ask):
+    noisy = {**SILENT_PLANNER, "planner": {**SILENT_PLANNER["planner"], "noise": 0.4}}
+    answers = ask({"type": "start", "id": 1, "setup": noisy}, advance_message(400))
+    ((where, sentence),) = refusals_of(answers)
+    assert where == "planner"
+    assert "is impossible: make its points less noisy." in sentence
+
+
 @pytest.mark.parametrize(("change", "where"), [
     ({"planner": {"period": 0.0, "start": "line"}}, "planner"),
     ({"planner": {"period": 0.1, "start": "anywhere"}}, "planner"),

@@ -202,6 +202,7 @@ const refer = (record, given) => lending(() => record.$copy(mine(memory.make(rec
 /** Follow a trajectory from its arrival (s) on, if it is accepted; what it replaces is given back. */
 function followTrajectory(own, { stamp, points }, time) {
   const { tracker, run } = own, list = [];
+  let isPossible = true;
   const isFollowed = owning(list, () => {
     const { record } = tracker, count = points.length / 5, parts = mine(memory.array("I", [7]));
     const rows = zeros(count, 7);
@@ -213,7 +214,8 @@ function followTrajectory(own, { stamp, points }, time) {
     const buffer = zeros(memory.call("trajectory_words", count, tracker.points, length));
     const arrival = mine(memory.make("tracker.planner.Arrival", { stamp, time, role: BY_PLANNER, is_urgent: 0 }));
     const [verdict, status] = memory.call("take_trajectory", rows, arrival, NaN, record.tracker, buffer, parts);
-    if (verdict !== written.tracker.taken || !written.tracker.accepted.includes(status)) return false;
+    isPossible = written.tracker.accepted.includes(status);
+    if (verdict !== written.tracker.taken || !isPossible) return false;
     putTrajectory(tracker, buffer, Array.from(parts.values, Number));
     memory.call("longitudinal_follow", record.longitudinal);
     memory.call("begin_trajectory", arrival, record.tracker);
@@ -221,7 +223,10 @@ function followTrajectory(own, { stamp, points }, time) {
     run.longitudinal.$copy(record.longitudinal);
     return true;
   });
-  if (!isFollowed) return forget(list);
+  if (!isFollowed) forget(list);
+  if (!isPossible)
+    throw new Refusal("planner", `The planner’s trajectory at ${time.toFixed(2)} s is impossible: make its points less noisy.`);
+  if (!isFollowed) return;
   forget(tracker.followed);
   tracker.followed = list;
 }
