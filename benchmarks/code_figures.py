@@ -48,7 +48,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 3290,
     "adaptrack": 40,
     "JavaScript, templates, C": 10400,
-    "tests": 45970,
+    "tests": 45980,
     "benchmarks, tools, experiments, examples": 17350,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
