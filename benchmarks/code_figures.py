@@ -31,7 +31,7 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2090,
-    "core": 27910,
+    "core": 27920,
     "cars": 2140,
     "road": 5000,
     "scenario": 1850,
@@ -48,7 +48,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 3290,
     "adaptrack": 40,
     "JavaScript, templates, C": 10400,
-    "tests": 45980,
+    "tests": 45990,
     "benchmarks, tools, experiments, examples": 17350,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.

@@ -324,6 +324,15 @@ def test_noise_of_5_cm_is_never_refused(columns):
         assert np.abs(nodes[:, NODE.speed] / speed - 1.0).max() < 0.2
 
 
+@pytest.mark.compiled
+def test_noise_of_10_cm_is_no_jump_and_no_wrong_yaw():
+    """A thousand trajectories of a hundred points each 1 m, at 25 m/s in a bend."""
+    random, ((t, x, y), yaw) = np.random.default_rng(2027), on_circle(100.0, 25.0, 4.0, 0.04)
+    for _ in range(1000):
+        noise_x, noise_y = 0.1 * random.standard_normal((2, t.size))
+        assert len(nodes_of(t, x + noise_x, y + noise_y, yaw=yaw, speed=25.0)) > 50
+
+
 def test_noise_of_two_points_at_almost_the_same_time_is_no_jump():
     t = np.append(np.arange(0.0, 4.0, 0.1), 3.9 + 1e-6)
     nodes = nodes_of(t, np.append(10.0 * t[:-1], 39.09), np.zeros(t.size))

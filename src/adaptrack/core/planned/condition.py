@@ -33,7 +33,7 @@ MERGING_DISTANCE = 0.05
 """m, least distance of places."""
 REST_SPEED, MIN_REST = 0.05, 0.25
 """m/s, s: a car that is slower for at least so long is at rest."""
-TANGENT_BASE, YAW_BASE = 0.5, 2.0
+TANGENT_BASE, YAW_BASE = 0.5, 3.0
 """m, m: least distance of the places that determine a tangent, and of those that a yaw is compared with."""
 MAX_YAW_ERROR, AXLE_REACH = 0.268, 3.0
 """Tangent of 15 degrees, the largest angle between yaw and motion. It adds to the angle due to an axle that lies so far
@@ -41,7 +41,8 @@ MAX_YAW_ERROR, AXLE_REACH = 0.268, 3.0
 MIN_SLIP_COSINE = 0.8
 """Least cosine of the angle between the yaw and the motion of the tracked point; a larger angle is due to noise."""
 MAX_JUMP, JUMP_ACCELERATION = 0.8, 15.0
-"""m, m/s^2: largest excess of a step over the way that the faster neighbouring step and this acceleration explain."""
+"""m, m/s^2: largest excess of a step over the way that the fastest of two steps on each side and this acceleration
+explain."""
 MERGING_TIME = 1e-3
 """s, within which points up to `MAX_JUMP` apart are one place."""
 SPAN = 0.3
@@ -213,6 +214,7 @@ def _find_jump(draft, count):
     for k in range(count - 1):
         speed, time = _mean_speed(draft, k, count), _time_to_next(draft.nodes, k)
         nearby_speed = max(_mean_speed(draft, k - 1, count), _mean_speed(draft, k + 1, count))
+        nearby_speed = max(_mean_speed(draft, k - 2, count), nearby_speed, _mean_speed(draft, k + 2, count))
         is_longer = (speed - nearby_speed - 0.5 * JUMP_ACCELERATION * time) * time > MAX_JUMP
         if not speed <= MAX_PLAN_SPEED or (count > 2 and is_longer):
             return k + 1

@@ -94,7 +94,7 @@ Followed = record(
     ),
 )  # fmt: skip
 """Memory for the trajectories of a tracker."""
-_copy_memory, _far_before = copier(PLANNED_MEMORY), local(2 * FAR_PLACES)
+_copy_memory, _far_places = copier(PLANNED_MEMORY), local(2 * FAR_PLACES)
 
 
 # -- the tracker along a trajectory -----------------------------------------------------------------------------------
@@ -190,12 +190,12 @@ def _go_over(points, arrival, tracking, followed):
 
     An impossible one changes nothing.
     """
-    before, friction, far = tracking_along(tracking, followed), math.nan, _far_before()
+    before, friction, far_before = tracking_along(tracking, followed), math.nan, _far_places()
     planned = tracking.tracker.planned
     if tracking.control_speed != 0:
         friction = tracking.longitudinal.friction.memory[0].low
     _copy_memory(planned.memory[0], followed.memory_before[0])
-    far[:] = planned.far
+    far_before[:] = planned.far
     half = 1 if followed.memory[0].half == 0 else 0
     verdict, status, point = planner.take_trajectory(
         points, arrival, friction, before.tracker, followed.buffers[half], followed.parts[half]
@@ -206,7 +206,7 @@ def _go_over(points, arrival, tracking, followed):
         flaw = _write_plan(half, tracking, followed)
     if flaw != FLAW.none:
         _copy_memory(followed.memory_before[0], planned.memory[0])
-        planned.far[:] = far
+        planned.far[:] = far_before
     elif verdict == VERDICT.taken:
         followed.memory[0].half = half
         along = tracking_along(tracking, followed)

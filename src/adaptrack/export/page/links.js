@@ -88,8 +88,8 @@ function setupOf(hash) {
   const supported = controllers.filter(({kind}) => CONTROLLERS[kind]);
   if (supported.length) setup.controllers = supported;
   if (["line", "pose"].includes(words.get("planner"))) {
-    const given = PLANNER_NUMBERS.map(name => [name, number(`planner.${name}`, 0)]).filter(([, value]) => value !== null);
-    Object.assign(setup, plannerChoice({...setup, planner: Object.fromEntries(given)}, words.get("planner")));
+    const numbers = PLANNER_NUMBERS.map(name => [name, number(`planner.${name}`, 0)]).filter(([, value]) => value !== null);
+    Object.assign(setup, plannerChoice({...setup, planner: Object.fromEntries(numbers)}, words.get("planner")));
   }
   return {setup, notes};
 }
