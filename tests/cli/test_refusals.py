@@ -55,6 +55,7 @@ SPEED = "drive country --road-seed 1 --length 300 --vehicle midsize-sedan --spee
     ("compare town:1 --planner period=x", ["adaptrack: planner 'period=x': period = 'x': must be a finite number"]),
     ("drive country --planner=", ["--planner '': has no settings"]),
     ("compare town:1 --planner=", ["--planner '': has no settings"]),
+    ("export page --planner= --out page.html", ["--planner '': has no settings"]),
     ("drive step --period nan", ["period = nan s", "must be a finite number > 0"]),
     ("drive step --period 1e-9", ["2,000,000 are possible"]),
     ("drive step --np 1000000000", ["Np = 1000000000", "at most 1,000"]),

@@ -216,14 +216,12 @@ def export_page(
     The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
     are the initial settings; you can change all of them on the page.
     """
-    from adaptrack.drive.planner import make_planner
-
     options.make_place(out, ".html")
     with show.replacing(out, aside=as_json):
         page = at.export_page(
             out, vehicle=vehicle, road=road, speed=speed, lateral_acceleration=lateral_acceleration, profile=profile,
             controllers=controller or ["informed"], seed=seed,
-            planner=None if planner is None else make_planner(planner),
+            planner=options.make_planner(planner),
         )  # fmt: skip
     size = page.stat().st_size
     if as_json:
