@@ -138,9 +138,7 @@ def export_c(
     world = load_profile(profile)
     way = load_road(road) if isinstance(road, str) else road
     speed_plan = plan_speed(way, controller.vehicle) if plan is None else plan
-    part = None if speed is None else speed_part(speed, controller, speed_plan, speed.car.domain.speed[1])
-    if part is not None and following is not None:
-        part = part._replace(start=part.start._replace(comfort=following.comfort))
+    part = None if speed is None else speed_part(speed, controller, speed_plan, speed.car.domain.speed[1], following)
     memory = tracking_memory(controller, room, furthest, part, following)
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
     recorded = record_drive(controller, driven_car, way, speed_plan, world, furthest=furthest, speed=part)

@@ -78,10 +78,15 @@ class SpeedPart(NamedTuple):
     start: SpeedStart
 
 
-def speed_part(control: SpeedControl, controller: Controller, plan: SpeedPlan, top_speed: float = 0.0) -> SpeedPart:
-    """The speed control behind a tracker with a controller, for plans up to that of `plan` or a top speed (m/s)."""
-    fastest = max(float(plan.speed.max()), top_speed)
-    return SpeedPart(control, SpeedStart(plan.comfort, fastest, patience_of(controller)))
+def speed_part(
+    control: SpeedControl, controller: Controller, plan: Any, top_speed: float = 0.0, following: Following | None = None
+) -> SpeedPart:
+    """The speed control behind a tracker with a controller, for plans up to that of `plan` or a top speed (m/s).
+
+    Its comfort is that of `following`, or else of the plan.
+    """
+    comfort = plan.comfort if following is None else following.comfort
+    return SpeedPart(control, SpeedStart(comfort, max(float(plan.speed.max()), top_speed), patience_of(controller)))
 
 
 def trajectory_words(points: int, has_speed: bool) -> tuple[int, int]:

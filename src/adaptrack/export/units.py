@@ -16,14 +16,7 @@ from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import python_part
 from adaptrack.control.following import Following, PlannerFollower
-from adaptrack.control.speed_control import (
-    SpeedControl,
-    SpeedStart,
-    horizon_cells,
-    longitudinal_of,
-    patience_of,
-    speed_path,
-)
+from adaptrack.control.speed_control import SpeedControl, horizon_cells, longitudinal_of, speed_path
 from adaptrack.core.kernel import Field
 from adaptrack.core.planned.records import PLANNED_MEMORY, POINT
 from adaptrack.core.plants.contract import place, vehicle_batch
@@ -34,7 +27,7 @@ from adaptrack.core.tracker.planner import PARTS
 from adaptrack.core.units import car, controller, follower
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
-from adaptrack.export.tracking import ROLES, refuse, room_of, small_record_of, trajectory_words
+from adaptrack.export.tracking import ROLES, refuse, room_of, small_record_of, speed_part, trajectory_words
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -254,15 +247,14 @@ def _speed_control(
 
     planner_part: with one trajectories may be as fast as the highest speed of the car's domain.
     """
-    comfort, top_speed = None, 0.0
+    following, top_speed = None, 0.0
     if planner_part is not None:
-        comfort, top_speed = planner_part.following.comfort, control.car.domain.speed[1]
+        following, top_speed = planner_part.following, control.car.domain.speed[1]
         path, plan = planner_part.standing_plan() if path is None else (path, plan)
-    fastest = float(plan.speed.max())
-    start = SpeedStart(comfort or plan.comfort, max(fastest, top_speed), patience_of(built_controller))
+    start = speed_part(control, built_controller, plan, top_speed, following).start
     way = speed_path(path, plan, control.stop_at_end)
     longitudinal = longitudinal_of(control, built_controller.period, start, way, built_controller)
-    ahead = longitudinal.ahead[: horizon_cells(fastest, longitudinal.settings)]
+    ahead = longitudinal.ahead[: horizon_cells(float(plan.speed.max()), longitudinal.settings)]
     return longitudinal._replace(ahead=ahead), longitudinal.ahead.size
 
 

@@ -111,7 +111,7 @@ def _trail(line: Road, wheelbase: float, count: int) -> tuple[Array, Array]:
 
 def _slip(turn: Array, speed: Array, car: Vehicle, closed: bool) -> Array:
     """Slip angle (rad) of the rear tyres in steady turns, averaged over `SLIP_PLACES`."""
-    slip = car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase) * speed * speed * turn
+    slip = car.rear_slip_gradient * speed * speed * turn
     side = SLIP_PLACES // 2
     before, after = (slip[-1 - side : -1], slip[1 : 1 + side]) if closed else (slip[[0] * side], slip[[-1] * side])
     sums = np.concatenate([[0.0], before, slip, after]).cumsum()

@@ -107,8 +107,7 @@ def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:
 
     Rajamani, *Vehicle Dynamics and Control*, 2nd ed., eqs. (3.12)-(3.15). n: 5 with the wheel angle as a state, else 4.
     """
-    slip = vehicle.mass * vehicle.lf / (2.0 * vehicle.stiffness_rear * vehicle.wheelbase)
-    heading = slip * speed - vehicle.lr / speed
+    heading = vehicle.rear_slip_gradient * speed - vehicle.lr / speed
     steering = vehicle.wheelbase / speed + vehicle.understeer_gradient * speed
     return np.array([-speed * heading, heading, 1.0, *([steering] if n == 5 else []), 0.0]), steering
 
